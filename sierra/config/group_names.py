@@ -62,10 +62,10 @@ def resolve(name: str, declared: Iterable[str]) -> tuple[Resolved, ...]:
     names = tuple(declared)
     if name in names and not parameters(name):
         return (Resolved(_with_categories(name, names), {}),)
-    matches = ((one, _pattern(one).fullmatch(name)) for one in names if parameters(one))
+    matches = ((form, _pattern(form).fullmatch(name)) for form in names if parameters(form))
     return tuple(
-        Resolved(_with_categories(one, names), dict(zip(parameters(one), map(_value, match.groups()), strict=True)))
-        for one, match in matches
+        Resolved(_with_categories(form, names), dict(zip(parameters(form), map(_value, match.groups()), strict=True)))
+        for form, match in matches
         if match
     )
 

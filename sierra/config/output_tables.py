@@ -455,10 +455,10 @@ def part_of(base: str, path: str) -> tuple[int, int, str] | None:
 
     A higher number is older, and so is an earlier date. The file itself is the newest part.
     """
-    found = PART.fullmatch(path.removeprefix(base)) if path.startswith(base) else None
-    if found is None:
+    match = PART.fullmatch(path.removeprefix(base)) if path.startswith(base) else None
+    if match is None:
         return None
-    number, date = found[1], found[2]
+    number, date = match[1], match[2]
     return (0, 0, re.sub("[^0-9]", "", date)) if date else (NUMBERED, -int(number), "") if number else NEWEST
 
 
@@ -512,7 +512,7 @@ def end_of(text: str) -> str:
     if match and match[1] and int(match[1]) in range(256):
         return f"exit {int(match[1])}"
     if match and match[2]:
-        known = {one.name.removeprefix("SIG"): one for one in signal.Signals}
+        known = {each.name.removeprefix("SIG"): each for each in signal.Signals}
         with contextlib.suppress(KeyError, ValueError):
             number = signal.Signals(int(match[2])) if match[2].isdigit() else known[match[2]]
             return f"signal {number.name.removeprefix('SIG')}"

@@ -175,9 +175,9 @@ class Kind:
 
     def make(self, name: str, tables: Tables, *arguments: object) -> Any:
         """Return a new object of a plug-in's class, made from `arguments` and from its options in `tables`."""
-        found, chosen = self.load(name), self.options(name, tables.get(name, {}))
+        plugin, chosen = self.load(name), self.options(name, tables.get(name, {}))
         try:
-            return found(*arguments, chosen)
+            return plugin(*arguments, chosen)
         except SierraError:
             raise
         except Exception as error:
@@ -198,29 +198,29 @@ class Kind:
     def _checked(self, offer: Offer) -> type:
         """Return the class of another package. Raises PluginError if it cannot be loaded or breaks the contract."""
         try:
-            found: Any = offer.point.load()
+            loaded: Any = offer.point.load()
         except SierraError:
             raise
         except (Exception, SystemExit) as error:
             raise _broken(self, offer, "loaded", error) from error
         plugin = f"the {self.word} {offer.name!r} of {offer.package}"
-        version = getattr(found, "contract", None)
+        version = getattr(loaded, "contract", None)
         if version != VERSION:
             declared = "declares no version" if version is None else f"is made for version {version}"
             raise PluginError(f"{plugin} {declared} of the contract, but this SIERRA has version {VERSION}; {offer.remedy}")
-        if not isinstance(found, type):
+        if not isinstance(loaded, type):
             raise PluginError(f"{plugin} is not a class ({offer.point.value}); {offer.remedy}")
-        if lacking := [name for name in _members(_attribute(self.protocol)) if not hasattr(found, name)]:
+        if lacking := [name for name in _members(_attribute(self.protocol)) if not hasattr(loaded, name)]:
             raise PluginError(f"{plugin} lacks {', '.join(lacking)}; {offer.remedy}")
-        model = found.Options  # type: ignore[attr-defined]
+        model = loaded.Options  # type: ignore[attr-defined]
         if not (isinstance(model, type) and issubclass(model, self.options_base)):
             raise PluginError(f"{plugin}: Options is not a subclass of {self.options_base.__name__}; {offer.remedy}")
-        called = getattr(found, "name", offer.name)
+        called = getattr(loaded, "name", offer.name)
         if offer.files and isinstance(called, str) and called != offer.name:
             raise PluginError(f"{plugin} calls itself {called!r}; set name = {offer.name!r}, because its class has that name")
-        if (module := found.__module__.partition(".")[0]) != SIERRA:
-            _loaded.update({module: plugin, found.__module__: plugin})
-        return found
+        if (module := loaded.__module__.partition(".")[0]) != SIERRA:
+            _loaded.update({module: plugin, loaded.__module__: plugin})
+        return loaded
 
     def _others(self) -> Mapping[str, tuple[Offer, ...]]:
         installed, plugins = self.installed(), current_project.plugins()
@@ -344,15 +344,15 @@ KINDS = (PLATFORMS, TEMPLATES, RUNNERS, LINKS, SCHEDULERS, ENGINES, READERS, STA
 
 def culprit(error: BaseException) -> str | None:
     """Return the plug-in, in words, in whose code an error arose; None if it arose in SIERRA."""
-    found: str | None = None
+    owner: str | None = None
     at: TracebackType | None = error.__traceback__
     while at is not None:
         name = str(at.tb_frame.f_globals.get("__name__", ""))
         module = name.partition(".")[0]
         if module == SIERRA or module in _loaded:
-            found = _loaded.get(name, _loaded.get(module))
+            owner = _loaded.get(name, _loaded.get(module))
         at = at.tb_next
-    return found
+    return owner
 
 
 @cache
@@ -361,13 +361,13 @@ def _offers(path: tuple[str, ...]) -> Offers:
     from importlib.metadata import entry_points
 
     installed = entry_points()
-    found: dict[str, dict[str, tuple[Offer, ...]]] = {}
+    by_group: dict[str, dict[str, tuple[Offer, ...]]] = {}
     for group in (kind.group for kind in KINDS):
-        offers = found[group] = {}
+        offers = by_group[group] = {}
         for point in installed.select(group=group):
             package = f"{point.dist.name} {point.dist.version}" if point.dist else point.value
             offers[point.name] = (*offers.get(point.name, ()), Offer(point.name, point, package))
-    return found
+    return by_group
 
 
 def _plural(word: str) -> str:

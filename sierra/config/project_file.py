@@ -401,8 +401,8 @@ class Project(Table):
         groups = {"controller": self.controllers, "scenario": self.scenarios}.get(axis.name, {})
         labels = {}
         for value in axis.values:
-            found = group_names.resolve(str(value), groups)
-            labels[value] = (groups[found[0].declared[-1]].label if len(found) == 1 else "") or value
+            matching = group_names.resolve(str(value), groups)
+            labels[value] = (groups[matching[0].declared[-1]].label if len(matching) == 1 else "") or value
         shown = list(labels.values())
         return {value: label for value, label in labels.items() if shown.count(label) == 1}
 
@@ -607,12 +607,12 @@ def read(found: ProjectFolder) -> LoadedProject:
     return replace(of_table(found, settings_in(data, found.file) or {}), content=data)
 
 
-def of_table(found: ProjectFolder, table: Mapping[str, object]) -> LoadedProject:
+def of_table(folder: ProjectFolder, table: Mapping[str, object]) -> LoadedProject:
     """Return a project with the configuration in a table, which is that of its file or was made from it. Raises ConfigError."""
-    root, file, _ = found
+    root, file, _ = folder
     notes: tuple[str, ...] = ()
-    lacking = extensions.lacking(table) if found.is_package else None
-    if found.is_package:
+    lacking = extensions.lacking(table) if folder.is_package else None
+    if folder.is_package:
         table, notes = extensions.without_absent(table)
     origin = f"{file} [tool.sierra]" if file.name == PYPROJECT else str(file)
     whole = parse(table, origin)
@@ -667,7 +667,7 @@ def parse(table: object, origin: str) -> Project:
     resolved = gathered(partial(_resolved, project, name, origin) for name in project.targets)
     each = dict(zip(project.targets, resolved, strict=True))
     for name in project.variables if each else ():
-        if not any(one.changes_with(name) for one in (project, *each.values())):
+        if not any(candidate.changes_with(name) for candidate in (project, *each.values())):
             raise ConfigError(f"{origin}: variables.{name}: {NO_CHANGE}, here or in [variables.{name}.targets.{min(each)}]")
     return project
 

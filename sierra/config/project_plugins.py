@@ -128,13 +128,13 @@ class _Point:
 
 def _check_names(kind: Kind, places: Iterable[str]) -> None:
     """Raise ConfigError for a name that something else has."""
-    for place in places:
-        name = place.partition(":")[2]
+    for path in places:
+        name = path.partition(":")[2]
         shipped = name in kind.shipped or extensions.home(kind.key, name) is not None
         installed = [offer.package for offer in kind.installed().get(name, ())]
         if shipped or installed:
             owner = "SIERRA itself" if shipped else " and ".join(installed)
-            raise ConfigError(f"[plugins] {kind.key}: {owner} has a {kind.word} {name!r} already; give {place} another name")
+            raise ConfigError(f"[plugins] {kind.key}: {owner} has a {kind.word} {name!r} already; give {path} another name")
 
 
 # The files
@@ -223,9 +223,9 @@ def _refuse_own(root: Path, path: str, module: str, line: int) -> None:
         spec = find_spec(top)
     except (ImportError, ValueError):
         spec = None
-    places = [Path(place) for place in (spec.origin, *(spec.submodule_search_locations or ())) if place] if spec else []
-    own = [place for place in places if _is_own(root, place)]
-    if not own and not any(set(INSTALLED).intersection(place.parts) for place in places):
+    places = [Path(file) for file in (spec.origin, *(spec.submodule_search_locations or ())) if file] if spec else []
+    own = [file for file in places if _is_own(root, file)]
+    if not own and not any(set(INSTALLED).intersection(file.parts) for file in places):
         folders = dict.fromkeys((PurePosixPath(path).parent, PurePosixPath()))
         own = [root / name for folder in folders for name in _file_of(root, folder / top)]
     if own:

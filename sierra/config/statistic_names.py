@@ -12,10 +12,10 @@ QUANTILE = regex(r"q(\d+)(\.\d+)?")
 
 def percent(name: str) -> float | None:
     """Return the percentage of a quantile; None for another name. Raises ValueError for one that is ambiguous or impossible."""
-    found = QUANTILE.fullmatch(name)
-    if found is None:
+    match = QUANTILE.fullmatch(name)
+    if match is None:
         return None
-    digits, rest = found[1], found[2] or ""
+    digits, rest = match[1], match[2] or ""
     if len(digits) == 1 and not rest:
         quartile = {"1": "25", "2": "50", "3": "75"}.get(digits)
         other = f"q{quartile} for the quartile, or " if quartile else ""

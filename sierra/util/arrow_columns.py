@@ -47,7 +47,7 @@ def _with_texts(kind: pa.DataType) -> pa.DataType:
     if pa.types.is_list(kind) or pa.types.is_large_list(kind):
         return pa.list_(_with_texts(kind.value_type)) if _with_texts(kind.value_type) != kind.value_type else kind
     if pa.types.is_struct(kind):
-        fields = [kind.field(place) for place in range(kind.num_fields)]
+        fields = [kind.field(index) for index in range(kind.num_fields)]
         return pa.struct([field.with_type(_with_texts(field.type)) for field in fields])
     exact = (pa.types.is_timestamp(kind) or pa.types.is_time64(kind)) and kind.unit == "ns"
     return pa.string() if exact else kind

@@ -75,9 +75,9 @@ def read_sealed(path: Path) -> bytes:
 def read_record(path: Path) -> dict[str, Any]:
     """Return the JSON object in a file of a session. Raises OSError, and Damaged if the file is not a JSON object."""
     try:
-        found = json.loads(read_regular(path))
-        if isinstance(found, dict):
-            return found
+        record = json.loads(read_regular(path))
+        if isinstance(record, dict):
+            return record
     except (ValueError, RecursionError):  # not UTF-8, not JSON, or nested too deeply
         pass
     raise Damaged(f"{path}: not a record that SIERRA wrote; move {path.parent} away: its contents are not recorded yet")

@@ -23,10 +23,10 @@ def kept_of(path: str, most: int = KEPT) -> tuple[bytes, int]:
     except OSError:
         return b"", 0
     with os.fdopen(descriptor, "rb") as file:
-        found = os.fstat(descriptor)
-        if not stat.S_ISREG(found.st_mode) or Path(path).parent.is_symlink():
+        state = os.fstat(descriptor)
+        if not stat.S_ISREG(state.st_mode) or Path(path).parent.is_symlink():
             return b"", 0
-        size = found.st_size
+        size = state.st_size
         if size <= most:
             return file.read(), size
         head = file.read(most // 4)

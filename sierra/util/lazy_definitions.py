@@ -66,14 +66,14 @@ def _postponed(original: type, made_by: Callable[[type], type]) -> type:
             self._value = value
 
         def __get__(self, instance: object, owner: type) -> object:
-            if owner is not made and self._value is signature:  # a class that inherits from this one has its own
+            if owner is not lazy and self._value is signature:  # a class that inherits from this one has its own
                 raise AttributeError
             complete()
             return self._value()
 
     def first(self: Any, *arguments: object, **named: object) -> None:
         complete()
-        made.__init__(self, *arguments, **named)  # type: ignore[misc]
+        lazy.__init__(self, *arguments, **named)  # type: ignore[misc]
 
     def restore(self: Any, state: Any) -> None:
         """Give a copy that another process has sent its values."""
@@ -86,22 +86,22 @@ def _postponed(original: type, made_by: Callable[[type], type]) -> type:
 
     def complete() -> None:
         with _lock:
-            if vars(made)["__init__"] is first:
+            if vars(lazy)["__init__"] is first:
                 whole = vars(made_by(original))
                 for name in (*LATE, *GENERATED):
                     if name in whole:
-                        setattr(made, name, whole[name])
+                        setattr(lazy, name, whole[name])
                     elif name in LATE:
-                        delattr(made, name)
+                        delattr(lazy, name)
 
     def signature() -> object:
         import inspect
 
-        whole = inspect.signature(made.__init__)  # type: ignore[misc]
+        whole = inspect.signature(lazy.__init__)  # type: ignore[misc]
         return whole.replace(parameters=list(whole.parameters.values())[1:])
 
     left |= {"__init__": first, "__setstate__": restore}
-    left |= {FIELDS: Late(lambda: vars(made)[FIELDS]), "__signature__": Late(signature)}
-    made = type(original)(original.__name__, original.__bases__, left)
-    made.__qualname__ = original.__qualname__
-    return made
+    left |= {FIELDS: Late(lambda: vars(lazy)[FIELDS]), "__signature__": Late(signature)}
+    lazy = type(original)(original.__name__, original.__bases__, left)
+    lazy.__qualname__ = original.__qualname__
+    return lazy

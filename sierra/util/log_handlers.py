@@ -55,7 +55,7 @@ class _Upwards(logging.Handler):
 def listen(handler: logging.Handler) -> Callable[[], None]:
     """Send all messages of SIERRA to a handler too; return a function that ends this."""
     logger = logging.getLogger(ROOT)
-    upwards = next((one for one in logger.handlers if isinstance(one, _Upwards)), None)
+    upwards = next((existing for existing in logger.handlers if isinstance(existing, _Upwards)), None)
     if upwards is None:
         upwards = _Upwards(logger)
         logger.addHandler(upwards)

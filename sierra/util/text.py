@@ -100,7 +100,7 @@ def one_line(text: object) -> str:
 def outside(text: str, wanted: str) -> Iterator[int]:
     """Yield the places of a character that are outside of brackets and quotes."""
     depth, quote = 0, ""
-    for place, character in enumerate(text):
+    for index, character in enumerate(text):
         if quote or character in "'\"":
             quote = "" if character == quote else quote or character
         elif character in "[(":
@@ -108,7 +108,7 @@ def outside(text: str, wanted: str) -> Iterator[int]:
         elif character in ")]":
             depth -= 1
         elif character == wanted and not depth:
-            yield place
+            yield index
 
 
 def toml_key(name: str) -> str:

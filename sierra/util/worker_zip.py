@@ -20,11 +20,11 @@ APART = ("__init__.py", "reproduce.py")
 @lru_cache(maxsize=1)
 def packed() -> bytes:
     """Return the zip."""
-    made = io.BytesIO()
-    with zipfile.ZipFile(made, "w") as archive:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
         for path in sorted(Path(HERE).glob("*.py")):
             if path.name not in APART:
                 member = zipfile.ZipInfo(path.name)
                 member.create_system, member.external_attr = 3, 0o644 << 16
                 archive.writestr(member, path.read_bytes())
-    return made.getvalue()
+    return buffer.getvalue()
