@@ -34,8 +34,8 @@ def cancel(
     if as_json:
         print_json(done)
         return
-    for one in done:
-        print(_cancelled(one))
+    for batch in done:
+        print(_cancelled(batch))
 
 
 def _cancelled(one: Cancelled) -> str:

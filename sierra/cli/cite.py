@@ -38,9 +38,9 @@ def cite(
     """
     from sierra.cli.open_project import project
 
-    found = project().metadata(write=write)
+    metadata = project().metadata(write=write)
     if as_json:
-        print_json(found)
+        print_json(metadata)
     else:
-        print("\n".join(_lines(found)))
-    raise typer.Exit(1 if found.differences else 0)
+        print("\n".join(_lines(metadata)))
+    raise typer.Exit(1 if metadata.differences else 0)

@@ -102,22 +102,22 @@ def claims(
             raise UsageError("--register records all claims and evaluates none; leave out names, --against and --junit")
         _register(opened, as_json=as_json)
         return
-    found: Sequence[Evaluated | Changed]
-    found = opened.claims(*(names or ())) if against is None else opened.claims_against(against, *(names or ()))
-    report(found, junit, as_json=as_json)
+    evaluated: Sequence[Evaluated | Changed]
+    evaluated = opened.claims(*(names or ())) if against is None else opened.claims_against(against, *(names or ()))
+    report(evaluated, junit, as_json=as_json)
 
 
-def report(found: Sequence[Evaluated | Changed], junit: Path | None, *, as_json: bool) -> None:
+def report(evaluated: Sequence[Evaluated | Changed], junit: Path | None, *, as_json: bool) -> None:
     """Print claims, and write them as JUnit to a file if one is given; end with exit status 1 unless all are fine."""
     if junit is not None:
         from sierra.cli.junit import write_cases
 
-        write_cases("claims", cases(found), junit)
+        write_cases("claims", cases(evaluated), junit)
     if as_json:
-        print_json(found)
+        print_json(evaluated)
     else:
-        _show(found)
-    if any(map(_outcome, found)):
+        _show(evaluated)
+    if any(map(_outcome, evaluated)):
         raise typer.Exit(1)
 
 
@@ -130,14 +130,14 @@ def cases(found: Iterable[Evaluated | Changed]) -> list[Case]:
 
 def _register(opened: Project, *, as_json: bool) -> None:
     """Record the claims, and print which are new; end with exit status 1 if one cannot be recorded."""
-    found = opened.register_claims()
-    rows = [(name, "registered now") for name in found.new] + [(name, "registered before") for name in found.known]
-    rows += [(name, f"not registered: {reason}") for name, reason in found.refused.items()]
+    registered = opened.register_claims()
+    rows = [(name, "registered now") for name in registered.new] + [(name, "registered before") for name in registered.known]
+    rows += [(name, f"not registered: {reason}") for name, reason in registered.refused.items()]
     if as_json:
         print_json([{"name": name, "registration": text} for name, text in rows])
     else:
         table(("claim", "registration"), rows)
-    if found.refused:
+    if registered.refused:
         raise typer.Exit(1)
 
 

@@ -162,9 +162,9 @@ def compare(
             raise UsageError(f"sierra.toml declares the comparison {names[0]!r}; leave out {options}, or change it there")
         if len(names) > 2:
             raise UsageError(f"the comparison {names[0]!r} takes one batch at most, not {len(names) - 1}")
-        found = opened.compare_declared(*names)
+        compared = opened.compare_declared(*names)
     else:
-        found = opened.compare(
+        compared = opened.compare(
             *names,
             by=_list(by),
             groups=_list(groups),
@@ -180,26 +180,26 @@ def compare(
             alpha=0.05 if alpha is None else alpha,
         )
     if junit is not None:
-        _write_cases(found, junit)
-    drawn, refused = _drawn(opened, found) if figure else ([], "")
-    for text in found.notes:
+        _write_cases(compared, junit)
+    drawn, refused = _drawn(opened, compared) if figure else ([], "")
+    for text in compared.notes:
         note(text)
     if format in PAPER:
         folder = None if file is None else file.parent
-        text = opened.paper_comparison(found, format.value, figures=drawn, folder=folder, caption=caption, label=label)
+        text = opened.paper_comparison(compared, format.value, figures=drawn, folder=folder, caption=caption, label=label)
         write_text(text, file)
     else:
-        _show(found, Format(format.value), file, drawn, as_json=as_json, long=long)
+        _show(compared, Format(format.value), file, drawn, as_json=as_json, long=long)
     if refused:
         note(f"no figure: {refused}")
 
 
-def _write_cases(found: Compared, file: Path) -> None:
+def _write_cases(compared: Compared, file: Path) -> None:
     """Write a test case for each pair: equivalent groups pass, different ones fail. Raises UsageError without a margin."""
     from sierra.cli.junit import Case, write_cases
     from sierra.stats.comparison.model import Verdict
 
-    if found.analysis.question.margin is None:
+    if compared.analysis.question.margin is None:
         raise UsageError("--junit needs a margin, because a test that finds no difference does not show that groups are equal")
     cases = [
         Case(
@@ -212,7 +212,7 @@ def _write_cases(found: Compared, file: Path) -> None:
             str(pair.verdict),
             (_numbers(pair),),
         )
-        for pair in found.pairs
+        for pair in compared.pairs
     ]
     write_cases("compare", cases, file)
 
@@ -223,16 +223,16 @@ def _numbers(pair: Pair) -> str:
     return f"{pair.test}: " + ", ".join(f"{name} = {value:.6g}" for name, value in parts.items() if value is not None)
 
 
-def _show(found: Compared, format: Format, file: Path | None, drawn: list[Path], *, as_json: bool, long: bool) -> None:
+def _show(compared: Compared, format: Format, file: Path | None, drawn: list[Path], *, as_json: bool, long: bool) -> None:
     if as_json and file is None:
-        print_json(_answer(found, drawn))
+        print_json(_answer(compared, drawn))
         return
     if format is Format.table and file is None and not long:
-        _print_table(found)
+        _print_table(compared)
     else:
-        write(Printable.of_arrow(found.arrow()), format, file)
+        write(Printable.of_arrow(compared.arrow()), format, file)
     if format is Format.table or file is not None:
-        text = found.text if long else found.brief
+        text = compared.text if long else compared.brief
         width = min(terminal_width(), WIDEST)
         print(f"\n{fill(text, width, break_long_words=False, break_on_hyphens=False) if width else text}")
         for path in drawn:
@@ -241,13 +241,13 @@ def _show(found: Compared, format: Format, file: Path | None, drawn: list[Path],
             note("--long shows all columns, digits and sentences")
 
 
-def _print_table(found: Compared) -> None:
+def _print_table(compared: Compared) -> None:
     """Print the table for papers, and the note below it."""
     from sierra.deliverables.comparison_text import paper_table
     from sierra.deliverables.paper_tables import as_text
 
-    shown = paper_table(found)
-    numbers = [header for place, header in enumerate(shown.headers) if place not in shown.texts]
+    shown = paper_table(compared)
+    numbers = [header for index, header in enumerate(shown.headers) if index not in shown.texts]
     width = min(terminal_width() or WIDEST, WIDEST)
     table_of(
         shown.headers,
@@ -266,28 +266,28 @@ def _drawn(opened: Project, found: Compared) -> tuple[list[Path], str]:
         return [], str(error)
 
 
-def _answer(found: Compared, drawn: list[Path]) -> dict[str, object]:
+def _answer(compared: Compared, drawn: list[Path]) -> dict[str, object]:
     return {
-        "name": found.name,
-        "batches": found.batches,
-        "table": found.table,
-        "column": found.column,
-        "measure": found.measure,
-        "unit": found.unit,
-        "groups": found.analysis.groups,
-        "method": found.analysis.method,
-        "version": found.analysis.version,
-        "alpha": found.analysis.question.alpha,
-        "margin": found.analysis.question.margin,
-        "paired": found.analysis.pairing.paired,
-        "pairing": found.analysis.pairing.reason,
-        "correlation": found.analysis.pairing.correlation,
-        "tests": found.analysis.tests,
-        "omnibus": found.omnibus,
-        "pairs": found.pairs,
-        "effects": found.effects,
-        "text": found.text,
-        "notes": [*found.notes, *found.analysis.notes, *found.analysis.limits],
+        "name": compared.name,
+        "batches": compared.batches,
+        "table": compared.table,
+        "column": compared.column,
+        "measure": compared.measure,
+        "unit": compared.unit,
+        "groups": compared.analysis.groups,
+        "method": compared.analysis.method,
+        "version": compared.analysis.version,
+        "alpha": compared.analysis.question.alpha,
+        "margin": compared.analysis.question.margin,
+        "paired": compared.analysis.pairing.paired,
+        "pairing": compared.analysis.pairing.reason,
+        "correlation": compared.analysis.pairing.correlation,
+        "tests": compared.analysis.tests,
+        "omnibus": compared.omnibus,
+        "pairs": compared.pairs,
+        "effects": compared.effects,
+        "text": compared.text,
+        "notes": [*compared.notes, *compared.analysis.notes, *compared.analysis.limits],
         "figures": list(map(str, drawn)),
     }
 

@@ -104,8 +104,8 @@ def _packages(before: str, after: str, *, as_json: bool) -> None:
     else:
         kind = "package" if whole else "batch"
         print(f"{kind} {short(answer.before)} → {kind} {short(answer.after)}")
-        for one in answer.differences:
-            print(one_line(f"{one.kind}: {one.line}"))
+        for difference in answer.differences:
+            print(one_line(f"{difference.kind}: {difference.line}"))
         print(f"the same: {', '.join(answer.same)}")
     if answer.differences:
         raise typer.Exit(1)
@@ -117,15 +117,15 @@ def _answer(answer: Comparison) -> dict[str, object]:
         "after": {"kind": answer.after.kind, "id": answer.after.id},
         "differences": [
             {
-                "kind": one.kind,
-                "rank": one.rank,
-                "name": one.name,
-                "line": one.line,
-                "before": one.was,
-                "after": one.now,
-                "details": list(one.details),
+                "kind": difference.kind,
+                "rank": difference.rank,
+                "name": difference.name,
+                "line": difference.line,
+                "before": difference.was,
+                "after": difference.now,
+                "details": list(difference.details),
             }
-            for one in answer.differences
+            for difference in answer.differences
         ],
         "same": list(answer.same),
         "notes": list(answer.notes),
@@ -139,8 +139,8 @@ def lines(answer: Comparison, *, everything: bool = False) -> Iterator[str]:
     yield f"{answer.before.kind} {short(answer.before.id)} → {answer.after.kind} {short(answer.after.id)}"
     for _, alike in groupby(answer.differences, lambda one: (one.kind, one.rank)):
         differences = list(alike)
-        for one in differences if everything else differences[:LINES]:
-            yield from _difference_lines(one, everything=everything)
+        for difference in differences if everything else differences[:LINES]:
+            yield from _difference_lines(difference, everything=everything)
         if len(differences) > LINES and not everything:
             yield f"  and {len(differences) - LINES} more of the kind {differences[0].kind} (--patch shows them)"
     names = ", ".join(answer.same)

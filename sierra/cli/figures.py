@@ -82,7 +82,7 @@ def figures(
     from sierra.cli.open_project import project
 
     opened = project()
-    wanted = [one.strip() for one in formats.split(",")] if formats is not None else ()
+    wanted = [format.strip() for format in formats.split(",")] if formats is not None else ()
     if check and formats is not None:
         raise UsageError("--check checks the files of all formats; leave out --format")
     batches, names = _split(opened, words or [])
@@ -125,25 +125,25 @@ def _split(opened: Project, words: Sequence[str]) -> tuple[list[str], list[str]]
     The first word is a batch, unless it is declared; a later one if it is one's prefix or a query's name, maybe with a label.
     """
     declared = {*opened.config.figures, *opened.config.paper_tables}
-    for place, word in enumerate(words):
+    for index, word in enumerate(words):
         is_batch = "=" in word or word in opened.config.queries or PREFIX.fullmatch(word) is not None
-        if word in declared or (place and not is_batch):
-            return list(words[:place]), list(words[place:])
+        if word in declared or (index and not is_batch):
+            return list(words[:index]), list(words[index:])
     return list(words), []
 
 
-def _check(found: Sequence[Checked], *, as_json: bool) -> None:
+def _check(checked: Sequence[Checked], *, as_json: bool) -> None:
     """Print the state of each figure; end with exit status 1 if one does not follow from the store."""
     if as_json:
-        print_json([asdict(one) for one in found])
+        print_json([asdict(figure) for figure in checked])
     else:
-        names = Counter(one.name for one in found)
-        for one in found:
-            formats = ", ".join(dict.fromkeys(Path(file).suffix[1:] for file in one.files)) if names[one.name] > 1 else ""
-            print(f"{one.name}{formats and f' ({formats})'}: {readable(one.problem or 'follows from the store')}")
-        if not found:
+        names = Counter(figure.name for figure in checked)
+        for figure in checked:
+            formats = ", ".join(dict.fromkeys(Path(file).suffix[1:] for file in figure.files)) if names[figure.name] > 1 else ""
+            print(f"{figure.name}{formats and f' ({formats})'}: {readable(figure.problem or 'follows from the store')}")
+        if not checked:
             note("no figure of this batch has been drawn; draw them with: sierra figures")
-    if any(one.problem for one in found):
+    if any(figure.problem for figure in checked):
         raise typer.Exit(1)
 
 

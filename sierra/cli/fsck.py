@@ -54,7 +54,7 @@ def fsck(
         for line in done:
             print(("would repair: " if dry_run else "repaired: ") + line)
         _print(report)
-        if not done and any(one.kind.repairable for one in report.findings):
+        if not done and any(finding.kind.repairable for finding in report.findings):
             print("sierra fsck --repair moves damaged segments aside and keeps the rest; sierra run executes lost runs again")
     if not report.sound:
         raise typer.Exit(1 if report.wrong else 3)

@@ -45,22 +45,22 @@ def gc(
 
     project = open_project.project()
     if dry_run:
-        found: Collection | None = project.collection(damaged=damaged, raw=raw)
+        collection: Collection | None = project.collection(damaged=damaged, raw=raw)
     else:
-        found = project.collect(
+        collection = project.collect(
             damaged=damaged,
             raw=raw,
             agree=lambda found: agreed(text(found), yes, as_json, "to be removed or merged"),
             observer=Display(),
         )
-    if found is None:
+    if collection is None:
         print("nothing was done")
         raise typer.Exit(1)
     if as_json:
-        print_json({"done": not dry_run, **asdict(found)})
+        print_json({"done": not dry_run, **asdict(collection)})
     else:
-        _print(found)
-    if found.unrecorded:
+        _print(collection)
+    if collection.unrecorded:
         raise typer.Exit(1)
 
 

@@ -86,13 +86,13 @@ def import_(
     from sierra.cli.open_project import project
 
     opened = project()
-    found = opened.import_image(file, name)
+    imported = opened.import_image(file, name)
     if as_json:
-        print_json(_contents(found))
+        print_json(_contents(imported))
         return
-    print(f"{found.image.id}  {found.image.name}")
-    pinned = [one.name for one in opened.images() if one.state == "pinned" and one.id == found.image.id]
-    print(f"pinned already: {', '.join(pinned)}" if pinned else f"next: sierra image pin {found.image.name}")
+    print(f"{imported.image.id}  {imported.image.name}")
+    pinned = [image.name for image in opened.images() if image.state == "pinned" and image.id == imported.image.id]
+    print(f"pinned already: {', '.join(pinned)}" if pinned else f"next: sierra image pin {imported.image.name}")
 
 
 @app.command(cls=lazy_parameters.Command)
@@ -135,12 +135,12 @@ def pin(name: Name = None, as_json: AsJson = False) -> None:
 
     opened = project()
     pinned = opened.pin_all(name)
-    for found in pinned:
-        _note_on(found)
+    for contents in pinned:
+        _note_on(contents)
         if not as_json:
-            print(f"{found.image.id}  {found.image.name}: pinned in sierra.lock")
+            print(f"{contents.image.id}  {contents.image.name}: pinned in sierra.lock")
     if as_json:
-        print_json([_contents(found) for found in pinned] if ARCH in opened.image_name(name) else _contents(pinned[0]))
+        print_json([_contents(contents) for contents in pinned] if ARCH in opened.image_name(name) else _contents(pinned[0]))
 
 
 def _note_on(found: Contents) -> None:
@@ -170,8 +170,8 @@ def show(
     """
     from sierra.cli.open_project import project
 
-    found = project().image(name)
-    shown = {**_contents(found), "programs": {word: _program(found, word) for word in programs or ()}}
+    contents = project().image(name)
+    shown = {**_contents(contents), "programs": {word: _program(contents, word) for word in programs or ()}}
     if as_json:
         print_json(shown)
         return
@@ -200,15 +200,15 @@ def ls(as_json: AsJson = False) -> None:
         return
     rows = [
         (
-            readable(one.name or "-"),
-            short(one.id) if one.id else "",
-            one.state,
-            short(one.now) if one.now and one.now != one.id else "",
-            one.architecture,
-            ", ".join(where for where, there in (("podman", one.podman), ("squashfs", one.squashfs)) if there),
-            size(one.size) if one.size is not None else "",
+            readable(image.name or "-"),
+            short(image.id) if image.id else "",
+            image.state,
+            short(image.now) if image.now and image.now != image.id else "",
+            image.architecture,
+            ", ".join(where for where, there in (("podman", image.podman), ("squashfs", image.squashfs)) if there),
+            size(image.size) if image.size is not None else "",
         )
-        for one in known
+        for image in known
     ]
     table(("name", "image", "state", "current", "architecture", "stored in", "size"), rows, right=("size",))
 
@@ -234,7 +234,7 @@ def _print_part(name: str, part: object) -> None:
         case str():
             lines = part.splitlines()
         case list() | tuple():
-            lines = [str(one) for one in part]
+            lines = [str(item) for item in part]
         case _:
             lines = []
     if lines:

@@ -213,15 +213,15 @@ def _attempt(folder: Path, guess: Guess, *, quiet: bool) -> Trial | str | None:
     if guess.can_be_tried and not quiet:
         print(f"trying one run: {_started(guess)} (--no-try does not)")
     printer = Printer(to_stderr=True)
-    found = wizard.try_run(folder, guess, printer.show if not quiet else lambda log, content: None)
+    trial = wizard.try_run(folder, guess, printer.show if not quiet else lambda log, content: None)
     printer.end()
-    if found is None or isinstance(found, str):
-        return found
+    if trial is None or isinstance(trial, str):
+        return trial
     if not quiet:
-        for text in found.notes:
+        for text in trial.notes:
             note(one_line(text))
-        print_trial(found)
-    return found
+        print_trial(trial)
+    return trial
 
 
 def _failure(guess: Guess, trial: Trial) -> str | None:
@@ -273,8 +273,8 @@ def _say(folder: Path, path: Path, guess: Guess, trial: Trial | None, *, as_json
     print(f"  {inputs}; {_started(guess)}{seed}")
     if guess.files:
         print(f"  beside the inputs: {one_line(few(guess.files, 4))}")
-    for name, place in guess.variables.items():
-        print(f"  {name} = {one_line(place)}")
+    for name, declared in guess.variables.items():
+        print(f"  {name} = {one_line(declared)}")
     for name, keys in guess.outputs.items():
         print(f"  table {one_line(name)} from {one_line(str(keys['file']))}")
     for text in guess.notes:

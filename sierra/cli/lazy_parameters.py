@@ -29,7 +29,7 @@ class _Converter:
             annotation = param.type_descriptor.annotation
             if _is_plain(value, annotation):
                 return value
-            if annotation == list[str] and isinstance(value, tuple) and all(_is_plain(one, str) for one in value):
+            if annotation == list[str] and isinstance(value, tuple) and all(_is_plain(item, str) for item in value):
                 return list(value)
         param._runtime_param = None
         return param.get_runtime_param().coerce(value, param=param, ctx=ctx)

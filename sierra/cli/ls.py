@@ -82,19 +82,19 @@ def _columns(batches: Sequence[ListedBatch], *, long: bool) -> dict[str, Sequenc
     from sierra.util.hashing import short
 
     return {
-        "batch": [one.batch if long else short(one.batch) for one in batches],
-        "submitted": [one.submitted or one.created for one in batches],
-        "query": [one.query for one in batches],
-        "controller": [one.controller or "" for one in batches],
-        "scenario": [one.scenario or "" for one in batches],
-        "target": [", ".join(one.targets) for one in batches],
-        "overrides": [" ".join(one.overrides) for one in batches],
-        "changed": [", ".join(one.changed) for one in batches],
-        "study": [_looks(one) for one in batches],
-        "package": [(one.package or "") if long else short(one.package or "") for one in batches],
-        "experiments": [one.experiments for one in batches],
-        "runs": [one.runs for one in batches],
-        "state": [_state(one) for one in batches],
+        "batch": [row.batch if long else short(row.batch) for row in batches],
+        "submitted": [row.submitted or row.created for row in batches],
+        "query": [row.query for row in batches],
+        "controller": [row.controller or "" for row in batches],
+        "scenario": [row.scenario or "" for row in batches],
+        "target": [", ".join(row.targets) for row in batches],
+        "overrides": [" ".join(row.overrides) for row in batches],
+        "changed": [", ".join(row.changed) for row in batches],
+        "study": [_looks(row) for row in batches],
+        "package": [(row.package or "") if long else short(row.package or "") for row in batches],
+        "experiments": [row.experiments for row in batches],
+        "runs": [row.runs for row in batches],
+        "state": [_state(row) for row in batches],
     }
 
 

@@ -45,9 +45,9 @@ def models(
     from sierra.cli.open_project import project
 
     opened = project()
-    found = opened.model_errors(opened.batch(prefix, target=target), name)
-    write(Printable.of_arrow(found.table), Format.json if as_json else format, file)
-    for called, reason in found.failed.items():
+    errors = opened.model_errors(opened.batch(prefix, target=target), name)
+    write(Printable.of_arrow(errors.table), Format.json if as_json else format, file)
+    for called, reason in errors.failed.items():
         note(f"model {called} has no prediction: {reason}")
-    if found.failed:
+    if errors.failed:
         raise typer.Exit(1)

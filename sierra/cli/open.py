@@ -66,16 +66,16 @@ def open_(
     from sierra.cli import open_project
     from sierra.packages.reading import received
 
-    found = received.open_package(package)
-    context.obj = found
-    context.with_resource(open_project.using(found.project.root))
+    opened = received.open_package(package)
+    context.obj = opened
+    context.with_resource(open_project.using(opened.project.root))
     if context.invoked_subcommand is None:
-        print("\n".join(map(one_line, _lines(found))))
+        print("\n".join(map(one_line, _lines(opened))))
 
 
-def _lines(found: Received) -> Iterator[str]:
-    described = found.manifest
-    yield f"package {found.id[:10]}: {described.title}, {described.date}"
+def _lines(opened: Received) -> Iterator[str]:
+    described = opened.manifest
+    yield f"package {opened.id[:10]}: {described.title}, {described.date}"
     if described.redacted:
         yield "anonymous: hosts, folders, commits and times in its records are not the original ones"
     for batch in described.batches:
@@ -84,4 +84,4 @@ def _lines(found: Received) -> Iterator[str]:
     for source in described.sources:
         yield f"source {source.tree}: {source.folder}"
     yield from described.notes
-    yield from found.notes
+    yield from opened.notes

@@ -33,14 +33,14 @@ def show(context: typer.Context, names: list[str] | None, to: Path | None, *, ki
     """List the deliverables of the package in the context: of one kind, by default all; with `to`, write their files there."""
     from sierra.packages.reading import drawn
 
-    found = drawn.find(context.obj, names or (), kind)
-    paths = drawn.write(context.obj, found, to) if to is not None else []
+    deliverables = drawn.find(context.obj, names or (), kind)
+    paths = drawn.write(context.obj, deliverables, to) if to is not None else []
     if as_json:
-        print_json(found)
+        print_json(deliverables)
     elif to is not None:
         print("".join(f"{readable(str(path))}\n" for path in paths), end="")
-    elif found:
-        rows = [(readable(one.name), one.kind, one.batch[:10], _formats(one.files)) for one in found]
+    elif deliverables:
+        rows = [(readable(row.name), row.kind, row.batch[:10], _formats(row.files)) for row in deliverables]
         table(("name", "kind", "batch", "formats"), rows)
     else:
         note(f"the package has no {kind or 'figure'}s")

@@ -95,10 +95,10 @@ def table(
     columns, rows = [cell(column) for column in columns], [list(row) for row in rows]
     texts = cells(rows)
     to_the_right = set(right)
-    widths = [max([len(column), *(len(row[place]) for row in texts)]) for place, column in enumerate(columns)]
-    cuttable = [place for place in range(len(columns)) if any(isinstance(row[place], str) for row in rows)]
+    widths = [max([len(column), *(len(row[index]) for row in texts)]) for index, column in enumerate(columns)]
+    cuttable = [index for index in range(len(columns)) if any(isinstance(row[index], str) for row in rows)]
     widths = _fitted(widths, cuttable, terminal_width() if width is None else width)
-    texts = [[_cut(text, widths[place]) for place, text in enumerate(row)] for row in texts]
+    texts = [[_cut(text, widths[index]) for index, text in enumerate(row)] for row in texts]
     for row in ([_cut(column, wide) for column, wide in zip(columns, widths, strict=True)], *texts):
         padded = [
             text.rjust(wide) if column in to_the_right else text.ljust(wide)

@@ -49,30 +49,30 @@ def outputs(
 
     opened = project()
     if write:
-        found = opened.outputs(*(query or ()), target=target)
+        taken = opened.outputs(*(query or ()), target=target)
         written = opened.declare_outputs(*(query or ()), target=target)
         if as_json:
             print_json(written)
         else:
-            before = f"targets.{found.target}." if found.target in opened.targets else ""
+            before = f"targets.{taken.target}." if taken.target in opened.targets else ""
             names = ", ".join(f"[{before}outputs.{name}]" for name in written)
-            every = not found.all_failed and all(table.declared or table.name in written for table in found.tables)
+            every = not taken.all_failed and all(table.declared or table.name in written for table in taken.tables)
             nothing = "all tables are declared; nothing was changed" if every else "nothing was changed"
             print(f"{opened.file}: added {names}" if written else f"{opened.file}: {nothing}")
             files = [Output(file=str(keys["file"]), format="csv") for keys in written.values()]
             parts = [file for file in files if file.file.endswith(ROTATION)]
-            added = [one for one in found.unread if one.name in written or any(new.matches(one.path) for new in parts)]
-            joined = {table.name for table in found.tables if any(file.matches(table.file) for file in files)}
-            if added or any(table.keys for table in found.tables if table.name in written) or joined - written.keys():
+            added = [kind for kind in taken.unread if kind.name in written or any(new.matches(kind.path) for new in parts)]
+            joined = {table.name for table in taken.tables if any(file.matches(table.file) for file in files)}
+            if added or any(table.keys for table in taken.tables if table.name in written) or joined - written.keys():
                 print("the next sierra run reads the files of new tables again; it executes nothing again for that")
-            for table in found.tables:
+            for table in taken.tables:
                 if not table.declared and table.name not in {*written, *joined}:
                     print(f"not declared any more: [outputs.{table.name}] file = {json.dumps(table.file)} had other keys too")
-            for line in unread_lines(found.runs, [one for one in found.unread if one not in added]):
+            for line in unread_lines(taken.runs, [kind for kind in taken.unread if kind not in added]):
                 print(line)
         return
-    found = opened.outputs(*(query or ()), target=target)
+    taken = opened.outputs(*(query or ()), target=target)
     if as_json:
-        print_json(found)
+        print_json(taken)
     else:
-        print("\n".join(lines(found)))
+        print("\n".join(lines(taken)))

@@ -146,7 +146,7 @@ def package(
         )
     except Identifying as error:
         more = [f"and {len(error.places) - SHOWN:,} places more"] if len(error.places) > SHOWN else []
-        print("".join(f"{place}\n" for place in (*error.places[:SHOWN], *more)), end="", file=sys.stderr)
+        print("".join(f"{location}\n" for location in (*error.places[:SHOWN], *more)), end="", file=sys.stderr)
         raise
     if packed is None:
         print("nothing was written")

@@ -110,13 +110,13 @@ def _preview(project: Project, plans: list[Plan], *, as_json: bool) -> None:
 
     rows = []
     for plan in plans:
-        found = forecast(plan, project.stored())
+        preview = forecast(plan, project.stored())
         rows.append(
-            {"batch": plan.batch.id, "query": plan.text, "runs": len(found.states), "to_execute": len(found.to_execute)}
+            {"batch": plan.batch.id, "query": plan.text, "runs": len(preview.states), "to_execute": len(preview.to_execute)}
         )
         if not as_json:
             heading = render_summary.heading(plan.batch.id, plan.text, plan.target)
-            print(f"{heading}: {counted(len(found.states), 'run')}, {len(found.to_execute)} to execute")
+            print(f"{heading}: {counted(len(preview.states), 'run')}, {len(preview.to_execute)} to execute")
     if as_json:
         print_json(rows)
 

@@ -82,24 +82,24 @@ def plan_n(
 
     reduction = MEASURES[measure] if measure else None
     options = {"--power": power, "--runs": runs, "--by": by, "--groups": groups, "--paired": paired, "--alpha": alpha}
-    found: RunsNeeded | RunsForPower
+    needed: RunsNeeded | RunsForPower
     if half_width is not None:
         given = [name for name, value in {"--difference": difference, **options}.items() if value is not None]
         if given or len(words or ()) > 1:
             raise UsageError(f"--half-width is about one mean; leave out {given[0] if given else 'the second batch'}")
-        found = project().runs_needed(
+        needed = project().runs_needed(
             *(words or ()), half_width=half_width, column=column, table=table, measure=reduction, threshold=threshold
         )
     elif difference is None and not by and len(words or ()) < 2:
         raise UsageError("name --half-width W, or what to compare: --difference D, a second batch, or --by VARIABLE")
     else:
-        found = project().runs_for_power(
+        needed = project().runs_for_power(
             *(words or ()),
             difference=difference,
             power=0.8 if power is None else power,
             runs=runs,
             by=by,
-            groups=[one.strip() for one in groups.split(",")] if groups else (),
+            groups=[group.strip() for group in groups.split(",")] if groups else (),
             column=column,
             table=table,
             measure=reduction,
@@ -107,27 +107,28 @@ def plan_n(
             paired=PAIRED[paired or Pairs.auto],
             alpha=0.05 if alpha is None else alpha,
         )
-    for text in found.notes:
+    for text in needed.notes:
         note(text)
     if as_json:
-        print_json(found)
+        print_json(needed)
         return
-    write(Printable.of_arrow(found.arrow()), format, None)
+    write(Printable.of_arrow(needed.arrow()), format, None)
     if format is Format.table:
-        print(f"\n{_conclusion(found)}")
+        print(f"\n{_conclusion(needed)}")
 
 
-def _conclusion(found: RunsNeeded | RunsForPower) -> str:
+def _conclusion(needed: RunsNeeded | RunsForPower) -> str:
     """Return the answer in one line."""
     from sierra.deliverables.sample_size import RunsNeeded
     from sierra.stats.words import of_run
 
-    if isinstance(found, RunsNeeded):
-        enough = "more than ten million" if found.runs is None else found.runs
-        return f"for {of_run(found.measure, found.column)} ± {found.half_width:g}: --runs {enough}"
-    enough = "more than 2000" if found.runs is None else found.runs
-    lowest = min((one.power_with for one in found.comparisons if one.power_with is not None), default=None)
+    if isinstance(needed, RunsNeeded):
+        enough = "more than ten million" if needed.runs is None else needed.runs
+        return f"for {of_run(needed.measure, needed.column)} ± {needed.half_width:g}: --runs {enough}"
+    enough = "more than 2000" if needed.runs is None else needed.runs
+    powers = (comparison.power_with for comparison in needed.comparisons)
+    lowest = min((power for power in powers if power is not None), default=None)
     with_runs = ""
     if lowest is not None:
-        with_runs = f"; with {found.asked} runs, it is {'above 0.999' if lowest > 0.999 else f'{lowest:.3g} or more'}"
-    return f"for a power of {found.wanted:g}, {of_run(found.measure, found.column)}: --runs {enough}{with_runs}"
+        with_runs = f"; with {needed.asked} runs, it is {'above 0.999' if lowest > 0.999 else f'{lowest:.3g} or more'}"
+    return f"for a power of {needed.wanted:g}, {of_run(needed.measure, needed.column)}: --runs {enough}{with_runs}"

@@ -50,10 +50,10 @@ def plan(project: Project, query: list[str], settings: Settings, *, engine: str 
         raise UsageError(
             f"{query[0]} is a complete request; leave out other criteria, --runs, --controller, --scenario and --set"
         )
-    found = query_request.read(Path(query[0]))
-    planned = project.resolve(found.request, engine=engine, observer=observer)
-    if found.batch not in (None, planned.batch.id):
+    recorded = query_request.read(Path(query[0]))
+    planned = project.resolve(recorded.request, engine=engine, observer=observer)
+    if recorded.batch not in (None, planned.batch.id):
         inside = Path(query[0]).resolve().is_relative_to(project.root)
         hint = " (the file is part of its source: move it elsewhere, or let git ignore it)" if inside else ""
-        note(f"the project has changed since {query[0]} was written{hint}: then it was batch {short(found.batch)}")
+        note(f"the project has changed since {query[0]} was written{hint}: then it was batch {short(recorded.batch)}")
     return planned

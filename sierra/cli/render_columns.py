@@ -18,19 +18,19 @@ Columns = dict[str, list["DifferentColumn"]]
 """The differences by column: one for each run in which it differs."""
 
 
-def column_lines(found: Sequence[Agreement]) -> Iterator[str]:
+def column_lines(agreements: Sequence[Agreement]) -> Iterator[str]:
     """Yield a line for each column that differs in some of these runs, and one for the others."""
-    columns = _by_column(found)
+    columns = _by_column(agreements)
     clocks = clocks_among(columns)
     for name, runs in columns.items():
-        rows, of = sum(one.rows for one in runs), sum(one.of for one in runs)
+        rows, of = sum(run.rows for run in runs), sum(run.of for run in runs)
         where = f"in {rows} of {counted(of, 'row')} of {counted(len(runs), 'run')}"
         about = f" ({clocks[name]})" if name in clocks else ""
-        within = "; within tolerance" if all(one.within for one in runs) else ""
+        within = "; within tolerance" if all(run.within for run in runs) else ""
         yield f"column {name!r}{about} differs {where}{_largest(runs)}{within}"
-    compared = [one for one in found if one.columns]
-    if compared and not any(one.form for one in found):
-        others = max(one.same + len(one.columns) for one in compared) - len(columns)
+    compared = [each for each in agreements if each.columns]
+    if compared and not any(each.form for each in agreements):
+        others = max(each.same + len(each.columns) for each in compared) - len(columns)
         yield (
             f"all {others} other columns are the same"
             if others > 1
@@ -78,8 +78,8 @@ def volatile_lines(answer: Replay, outputs: Mapping[str, Output]) -> Iterator[st
             if path is not None and agreement.output is not None and agreement.verdict == "different":
                 by_output.setdefault(agreement.output, []).append(agreement)
                 files[agreement.output] = path
-    for name, found in sorted(by_output.items()):
-        columns = _by_column(found)
+    for name, agreements in sorted(by_output.items()):
+        columns = _by_column(agreements)
         clocks = clocks_among(columns)
         if clocks:
             declared = outputs.get(name)

@@ -24,7 +24,7 @@ def print_programs(programs: Sequence[RecordedProgram]) -> None:
     print("\nprograms:")
     table(
         ("name", "version", "sha256", "path"),
-        [(readable(one.name), readable(one.short_version)[:LONGEST], one.sha256[:10], readable(one.path)) for one in others],
+        [(readable(row.name), readable(row.short_version)[:LONGEST], row.sha256[:10], readable(row.path)) for row in others],
     )
     if libraries:
         print(f"libraries: {few(libraries, SHOWN)}")

@@ -19,22 +19,22 @@ TABLES = 8
 UNREAD = 4
 
 
-def short_lines(found: TakenOutputs) -> Iterator[str]:
+def short_lines(taken: TakenOutputs) -> Iterator[str]:
     """Yield a few lines for the summary of a batch: a line for each table, and one for each kind of other files."""
-    for table in found.tables[:TABLES]:
+    for table in taken.tables[:TABLES]:
         columns = few([f"{readable(column.name)} {column.type}" for column in table.columns], COLUMNS)
         time = f"; time axis: {readable(table.time)}" if table.time else ""
         yield f"table {readable(table.name)} from {readable(table.file)}: {table.rows}; {columns or 'no columns'}{time}"
-    if more := len(found.tables) - TABLES:
+    if more := len(taken.tables) - TABLES:
         yield from [f"and {counted(more, 'more table')}"] if more > 0 else []
-    unread = [one for one in found.unread if not one.noted]
-    yield from unread_lines(found.runs, unread[:UNREAD])
+    unread = [kind for kind in taken.unread if not kind.noted]
+    yield from unread_lines(taken.runs, unread[:UNREAD])
     if len(unread) > UNREAD:
         yield f"and {len(unread) - UNREAD} more kinds of files"
-    if found.tables or unread:
-        undeclared = any(not table.declared for table in found.tables) or any(one.keys for one in found.unread)
+    if taken.tables or unread:
+        undeclared = any(not table.declared for table in taken.tables) or any(kind.keys for kind in taken.unread)
         write = "; sierra outputs --write declares these tables in sierra.toml" if undeclared else ""
-        yield f"(sierra outputs {short(found.batch)} shows all of this again{write})"
+        yield f"(sierra outputs {short(taken.batch)} shows all of this again{write})"
 
 
 def lines(found: TakenOutputs) -> Iterator[str]:

@@ -84,14 +84,14 @@ def next_run(answer: NextRun) -> list[str]:
         recorded = f"(sierra run {short(answer.batch)} executes this batch with the recorded code)"
         return [
             f"different runs (batch {short(answer.other_batch)}), because:",
-            *(one.whole for one in answer.differences),
+            *(difference.whole for difference in answer.differences),
             recorded,
             *first,
         ]
     if first:
         return first
     reasons = (f"{counted(count, 'run')}: {text(reason, PREVIEW)}" for count, reason in answer.reasons)
-    return [*reasons, *(one.whole for one in answer.differences)]
+    return [*reasons, *(difference.whole for difference in answer.differences)]
 
 
 def text(reason: Reason, words: Mapping[ChangeReason, str]) -> str:

@@ -32,61 +32,62 @@ SESSION = 8
 """The number of digits of a session's id that are shown; its jobs have them in their names, too."""
 
 
-def show(found: Sequence[ClusterSession], *, long: bool = False) -> None:
+def show(sessions: Sequence[ClusterSession], *, long: bool = False) -> None:
     """Print a line for each session on a cluster, and explanations below."""
 
-    rows = [dict(zip(COLUMNS, _row(one, long=long), strict=True)) for one in found]
+    rows = [dict(zip(COLUMNS, _row(session, long=long), strict=True)) for session in sessions]
     columns = [name for name in COLUMNS if any(row[name] != "" for row in rows)]
     table(
         columns, [[row[name] for name in columns] for row in rows], right=("runs", "done", "failed"), width=0 if long else None
     )
-    for one in found:
-        if one.stuck:
-            print(f"{short(one.batch)} ({one.session[:SESSION]}) cannot start: {readable(one.stuck)}")
+    for session in sessions:
+        if session.stuck:
+            print(f"{short(session.batch)} ({session.session[:SESSION]}) cannot start: {readable(session.stuck)}")
 
 
-def lines(found: Sequence[ClusterSession]) -> list[str]:
+def lines(sessions: Sequence[ClusterSession]) -> list[str]:
     """Return a line for each session of a batch on clusters."""
     from sierra.cli.ask_detach import named
 
     texts = []
-    for one in found:
-        follower = f", followed by {one.attended}" if one.attended else ""
-        stuck = f": {readable(one.stuck)}" if one.stuck else ""
-        how = "the jobs are gone; sierra ls --jobs records the finished runs" if one.is_gone else state(one)
-        texts.append(f"on {one.runner} now, {named(one.jobs)} (session {one.session[:SESSION]}): {how}{follower}{stuck}")
+    for session in sessions:
+        follower = f", followed by {session.attended}" if session.attended else ""
+        stuck = f": {readable(session.stuck)}" if session.stuck else ""
+        how = "the jobs are gone; sierra ls --jobs records the finished runs" if session.is_gone else state(session)
+        where = f"on {session.runner} now, {named(session.jobs)} (session {session.session[:SESSION]})"
+        texts.append(f"{where}: {how}{follower}{stuck}")
     return texts
 
 
-def state(one: ClusterSession) -> str:
+def state(session: ClusterSession) -> str:
     """Return the state of a session's array job in a few words."""
 
-    if one.ended:
+    if session.ended:
         return "ended"
-    words = ["cancelled"] if one.cancelled else []
-    if one.queued is None:
+    words = ["cancelled"] if session.cancelled else []
+    if session.queued is None:
         words.append("unreachable")
-    elif one.queued or one.running:
-        queued = f"{one.queued} queued" + (f" ({readable(one.waits)})" if one.waits else "")
-        words += [text for count, text in ((one.queued, queued), (one.running, f"{one.running} running")) if count]
-    elif not one.stuck:
-        words.append("gone: use sierra attach" if not one.attended else "gone")
-    return ", ".join([*words, *(["cannot start"] if one.stuck else [])])
+    elif session.queued or session.running:
+        queued = f"{session.queued} queued" + (f" ({readable(session.waits)})" if session.waits else "")
+        words += [text for count, text in ((session.queued, queued), (session.running, f"{session.running} running")) if count]
+    elif not session.stuck:
+        words.append("gone: use sierra attach" if not session.attended else "gone")
+    return ", ".join([*words, *(["cannot start"] if session.stuck else [])])
 
 
-def _row(one: ClusterSession, *, long: bool) -> Sequence[object]:
-    query = readable(one.query or "(a replay)")
+def _row(session: ClusterSession, *, long: bool) -> Sequence[object]:
+    query = readable(session.query or "(a replay)")
     return (
-        one.batch if long else short(one.batch),
+        session.batch if long else short(session.batch),
         query if long or len(query) <= LONGEST else f"{query[: LONGEST - 1]}…",
-        one.target or "",
-        one.session if long else one.session[:SESSION],
-        one.runner,
-        few(one.jobs, 3) or "unknown",
-        one.runs,
-        one.done,
-        one.failed,
-        state(one),
-        one.attended or "",
-        one.since,
+        session.target or "",
+        session.session if long else session.session[:SESSION],
+        session.runner,
+        few(session.jobs, 3) or "unknown",
+        session.runs,
+        session.done,
+        session.failed,
+        state(session),
+        session.attended or "",
+        session.since,
     )

@@ -97,8 +97,8 @@ def _print(summary: Summary, left: Sequence[ClusterSession]) -> None:
 
     print(heading(summary.batch, summary.query, summary.target))
     axes = list(summary.counts[0].values)
-    names = [name for name in COUNTED if name != "accepted" or any(one.accepted for one in summary.counts)]
-    rows = [[*one.values.values(), *(getattr(one, name) for name in names)] for one in summary.counts]
+    names = [name for name in COUNTED if name != "accepted" or any(counts.accepted for counts in summary.counts)]
+    rows = [[*counts.values.values(), *(getattr(counts, name) for name in names)] for counts in summary.counts]
     table([*axes, *names], rows, right=names)
     failed = f", {summary.failed} failed" if summary.failed else ""
     wanted = summary.missing - summary.left_out

@@ -107,7 +107,7 @@ def tolerances(texts: Iterable[str]) -> dict[str, dict[str, Tolerance]]:
     from sierra.config.output_tables import Tolerance
     from sierra.config.validate import options
 
-    found: dict[str, dict[str, Tolerance]] = {}
+    by_output: dict[str, dict[str, Tolerance]] = {}
     for text in texts:
         target, _, values = text.rpartition("=")
         output, _, column = target.rpartition(".") if "." in target else ("*", "", target)
@@ -117,8 +117,8 @@ def tolerances(texts: Iterable[str]) -> dict[str, dict[str, Tolerance]]:
             kinds = {}
         if not (output and column and kinds):
             raise UsageError(f"--set-tolerance {text!r}: write it as COLUMN=rel:1e-9 or OUTPUT.COLUMN=abs:0.1,ulp:4")
-        found.setdefault(output, {})[column] = options(Tolerance, kinds, f"--set-tolerance {text!r}")
-    return found
+        by_output.setdefault(output, {})[column] = options(Tolerance, kinds, f"--set-tolerance {text!r}")
+    return by_output
 
 
 def _answer(answer: Replay) -> dict[str, object]:
@@ -138,7 +138,7 @@ def _answer(answer: Replay) -> dict[str, object]:
         "same_files": answer.files.same if answer.files else None,
         "used_gpu": answer.used_gpu,
         "experiments": [_experiment(experiment) for experiment in answer.experiments],
-        "outputs": [_output(run, path, found) for run in answer.runs for path, found in run.outputs.items()],
+        "outputs": [_output(run, path, agreement) for run in answer.runs for path, agreement in run.outputs.items()],
     }
 
 
@@ -150,13 +150,13 @@ def _experiment(experiment: OfExperiment) -> dict[str, object]:
         "runs": len(experiment.runs),
         "metrics": [
             {
-                "name": one.name,
-                "recorded_mean": one.recorded_mean,
-                "replayed_mean": one.replayed_mean,
-                "reason": one.reason,
-                **(asdict(one.tested) if one.tested else {}),
+                "name": metric.name,
+                "recorded_mean": metric.recorded_mean,
+                "replayed_mean": metric.replayed_mean,
+                "reason": metric.reason,
+                **(asdict(metric.tested) if metric.tested else {}),
             }
-            for one in experiment.metrics
+            for metric in experiment.metrics
         ],
     }
 
@@ -178,8 +178,8 @@ def _print(answer: Replay, outputs: Mapping[str, Output]) -> None:
     if answer.interrupted:
         print("interrupted: nothing was compared")
         return
-    for (verdict, path), found in _alike(answer).items():
-        _print_outputs(verdict, path, found)
+    for (verdict, path), alike in _alike(answer).items():
+        _print_outputs(verdict, path, alike)
     for line in volatile_lines(answer, outputs):
         print(readable(line))
     for experiment in answer.experiments:
@@ -189,7 +189,7 @@ def _print(answer: Replay, outputs: Mapping[str, Output]) -> None:
             )
     if len(answer.experiments) > 1 and answer.verdict != "identical":
         axes = list(answer.experiments[0].values)
-        rows = [[*one.values.values(), len(one.runs), one.verdict] for one in answer.experiments]
+        rows = [[*each.values.values(), len(each.runs), each.verdict] for each in answer.experiments]
         table([*axes, "runs", "verdict"], rows, right=["runs"])
     counts = ", ".join(f"{count} {verdict}" for verdict, count in sorted(answer.counts.items()))
     runs = f"{len(answer.runs)} of {answer.of} runs" if len(answer.runs) < answer.of else _many(answer.of)
@@ -218,28 +218,28 @@ def _alike(answer: Replay) -> dict[tuple[Verdict, str | None], list[tuple[Compar
     from sierra.replay.compare_values import Verdict
 
     order = list(Verdict)
-    found: dict[tuple[Verdict, str | None], list[tuple[Compared, Agreement]]] = {}
+    alike: dict[tuple[Verdict, str | None], list[tuple[Compared, Agreement]]] = {}
     for run in answer.runs:
         for path, agreement in run.outputs.items():
             if agreement.verdict != "identical":
-                found.setdefault((agreement.verdict, path), []).append((run, agreement))
-    return dict(sorted(found.items(), key=lambda item: (-order.index(item[0][0]), item[0][1] or "")))
+                alike.setdefault((agreement.verdict, path), []).append((run, agreement))
+    return dict(sorted(alike.items(), key=lambda item: (-order.index(item[0][0]), item[0][1] or "")))
 
 
-def _print_outputs(verdict: Verdict, path: str | None, found: Sequence[tuple[Compared, Agreement]]) -> None:
+def _print_outputs(verdict: Verdict, path: str | None, alike: Sequence[tuple[Compared, Agreement]]) -> None:
     """Print some runs in which one output has the same verdict; one run is enough if the verdict is fine."""
     from sierra.util.hashing import short
 
-    shown = found[: 1 if verdict.fine else SHOWN]
+    shown = alike[: 1 if verdict.fine else SHOWN]
     for run, agreement in shown:
         where = f" {path}" if path else ""
         print(readable(f"{verdict}: run {short(run.taken.run)} (number {run.taken.number}){where}: {agreement.reason}"))
-        if agreement.growth and not verdict.fine and run is found[0][0]:
+        if agreement.growth and not verdict.fine and run is alike[0][0]:
             print(f"    {_grown(agreement)}")
-    if more := len(found) - len(shown):
+    if more := len(alike) - len(shown):
         print(readable(f"{verdict}: {path or 'as a whole'} of {more} more run{'s' * (more > 1)} (--json has them all)"))
     if verdict in ("different", "within tolerance"):
-        for line in column_lines([agreement for _, agreement in found]):
+        for line in column_lines([agreement for _, agreement in alike]):
             print(f"    {readable(line)}")
 
 

@@ -156,11 +156,11 @@ def _show(done: Reproduction) -> None:
     from sierra.cli.claims import print_table
     from sierra.packages.reproduction.report import executed
 
-    for one in done.batches:
-        print(readable(f"batch {one.planned.batch[:10]} ({one.planned.query}): {one.verdict}"))
+    for batch in done.batches:
+        print(readable(f"batch {batch.planned.batch[:10]} ({batch.planned.query}): {batch.verdict}"))
     for line in done.left_out:
         print(readable(line))
     if done.claims:
-        print_table(done.claims, [f"{one.ground} ({executed(done, one.batches)})" for one in done.claims])
+        print_table(done.claims, [f"{claim.ground} ({executed(done, claim.batches)})" for claim in done.claims])
     print(one_line(done.verdict))
     print(f"report: {done.folder / ('index.html' if done.drawn else 'reproduction.md')}")

@@ -34,13 +34,13 @@ def request(project: Project, query: list[str], settings: Settings, target: str 
     if PREFIX.fullmatch(query[0].lower()) and query[0] not in project.config.queries:
         raise UsageError(f"batch {query[0]} is executed as it was recorded, with its number of runs; --until needs the query")
     if not query[0].endswith(query_request.SUFFIX):
-        made = query_request.request(query, **settings, target=target)
+        submitted = query_request.request(query, **settings, target=target)
     elif len(query) > 1 or target or any(value for name, value in settings.items() if name != "runs"):
         raise UsageError(f"{query[0]} is a complete request; leave out other criteria, --controller, --scenario and --set")
     else:
-        made = query_request.read(Path(query[0])).request
-        made = made.model_copy(update={"runs": settings["runs"] or made.runs})
-    return made.model_copy(update={"runs": made.runs or FIRST})
+        submitted = query_request.read(Path(query[0])).request
+        submitted = submitted.model_copy(update={"runs": settings["runs"] or submitted.runs})
+    return submitted.model_copy(update={"runs": submitted.runs or FIRST})
 
 
 def show_plan(outcome: Outcome, *, json: bool) -> None:
@@ -106,9 +106,9 @@ def print_study(outcome: Outcome, *, long: bool = False) -> None:
     last = outcome.looks[-1]
     names = list(next(iter(outcome.experiments.values()), {}))
     rows = [
-        [*(outcome.experiments.get(one.ordinal, {}).get(name) for name in names), one.condition]
-        + [getattr(one, column) for column in COLUMNS]
-        for one in last.intervals
+        [*(outcome.experiments.get(interval.ordinal, {}).get(name) for name in names), interval.condition]
+        + [getattr(interval, column) for column in COLUMNS]
+        for interval in last.intervals
     ]
     if rows:
         print()

@@ -174,8 +174,8 @@ def _print_host(shown: ShownBatch | ShownExecution, reach: Sequence[str], isolat
 
     if shown.image:
         print_image(shown.image, reach)
-        for one in isolations:
-            print_isolation(one)
+        for isolation in isolations:
+            print_isolation(isolation)
         if not isolations and shown.kind == "execution":
             print("\nisolation: none, executed directly on the host")
     if shown.programs:
@@ -243,10 +243,10 @@ def _print_record(record: Mapping[str, object], *, long: bool) -> None:
     for name, value in nested.items():
         if (inner := members(value)) is not None:
             print(f"\n{name}:")
-            fields({key: cut(one) for key, one in inner.items()}, "  ")
+            fields({key: cut(item) for key, item in inner.items()}, "  ")
         elif isinstance(value, list | tuple) and value:
             print(f"\n{name}:")
-            rows = [row for one in value if (row := members(one)) is not None]
+            rows = [row for item in value if (row := members(item)) is not None]
             if rows:
                 _print_rows(name, rows, cut, long=long)
             else:

@@ -37,10 +37,10 @@ def status(
     from sierra.cli import open_project, render_status
     from sierra.cli.progress import Display
 
-    found = open_project.project().status(prefix, observer=Display())
+    sessions = open_project.project().status(prefix, observer=Display())
     if as_json:
-        print_json(found)
-    elif found:
-        render_status.show(found, long=long)
+        print_json(sessions)
+    elif sessions:
+        render_status.show(sessions, long=long)
     else:
         print("no cluster jobs" if prefix is None else f"no cluster jobs of {prefix}")

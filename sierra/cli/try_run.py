@@ -122,17 +122,17 @@ def print_trial(trial: Trial) -> None:
     print("--")
     fields(dict(_facts(trial)), columns=COLUMNS)
     if trial.files:
-        tables = any(one.table for one in trial.files)
+        tables = any(file.table for file in trial.files)
         columns = ["file", "size", "table", "rows", "columns"] if tables else ["file", "size"]
         rows = [
             [
-                one.path,
-                size(one.bytes),
-                one.table,
-                one.rows,
-                few([f"{name} ({kind})" for name, kind in one.columns.items()], COLUMNS // 20),
+                file.path,
+                size(file.bytes),
+                file.table,
+                file.rows,
+                few([f"{name} ({kind})" for name, kind in file.columns.items()], COLUMNS // 20),
             ]
-            for one in trial.files[: NAMED * 4]
+            for file in trial.files[: NAMED * 4]
         ]
         table(columns, [row[: len(columns)] for row in rows], right=["size", "rows"])
         if len(trial.files) > len(rows):
@@ -155,7 +155,7 @@ def _facts(trial: Trial) -> Iterator[tuple[str, str]]:
         yield "used", trial.used.words + (f" (incomplete: {trial.used.incomplete})" if trial.used.incomplete else "")
         yield "read", few(trial.used.files, NAMED) or "no file of the project"
     wrote = [
-        counted(len({one.path for one in trial.files}), "file"),
+        counted(len({file.path for file in trial.files}), "file"),
         *(f"{name}: {size(length)}" for name, length in (trial.logs or {}).items()),
     ]
     yield "wrote", ", ".join(wrote)

@@ -47,8 +47,8 @@ def why(
 def _answer(answer: Why) -> dict[str, object]:
     from sierra.cli.render_reasons import EFFECTIVE, HISTORY, new_runs, next_run, text
 
-    def with_reason(found: Cause | EffectiveRuns, words: Mapping[ChangeReason, str]) -> dict[str, object]:
-        return {**(members(found) or {}), "reason": text(found.reason, words), "change": found.reason.kind}
+    def with_reason(shown: Cause | EffectiveRuns, words: Mapping[ChangeReason, str]) -> dict[str, object]:
+        return {**(members(shown) or {}), "reason": text(shown.reason, words), "change": shown.reason.kind}
 
     def with_causes(event: Event) -> dict[str, object]:
         return {**(members(event) or {}), "causes": [with_reason(cause, HISTORY) for cause in event.causes]}
@@ -58,8 +58,8 @@ def _answer(answer: Why) -> dict[str, object]:
         "id": answer.found.id,
         "runs": answer.runs,
         "history": [with_causes(event) for event in answer.history],
-        "new_because": {batch: new_runs(found) for batch, found in answer.new_because.items()},
-        "effective": [with_reason(one, EFFECTIVE) for one in answer.effective],
+        "new_because": {batch: new_runs(runs) for batch, runs in answer.new_because.items()},
+        "effective": [with_reason(each, EFFECTIVE) for each in answer.effective],
         "next_run": next_run(answer.next_run),
         "clusters": answer.clusters,
     }
@@ -91,8 +91,8 @@ def lines(answer: Why) -> Iterator[str]:
     if not answer.history:
         yield "it was never executed"
     yield "effective executions:"
-    for one in answer.effective[:LINES]:
-        yield f"  batch {short(one.batch)}: {_standing(one)}{readable(text(one.reason, EFFECTIVE))}"
+    for runs in answer.effective[:LINES]:
+        yield f"  batch {short(runs.batch)}: {_standing(runs)}{readable(text(runs.reason, EFFECTIVE))}"
     if len(answer.effective) > LINES:
         yield f"  and {len(answer.effective) - LINES} more (--json has them all)"
     yield from render_status.lines(answer.clusters)
