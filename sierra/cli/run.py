@@ -173,9 +173,9 @@ def run(
             _check(project, plan, options)
     answers: dict[str, object] = {}
     summaries: list[Summary] = []
-    for place, plan in enumerate(plans):
+    for index, plan in enumerate(plans):
         if len(plans) > 1 and not dry_run:
-            note(f"target {plan.target} ({place + 1} of {len(plans)}): {counted(len(plan.batch.runs), 'run')}")
+            note(f"target {plan.target} ({index + 1} of {len(plans)}): {counted(len(plan.batch.runs), 'run')}")
         summary, answers[plan.target or ""] = _run(project, plan, options)
         if summary is not None:
             summaries.append(summary)
@@ -299,7 +299,7 @@ def _together(project: Project, plans: Sequence[Plan], summaries: Sequence[Summa
     """Draw the batches of several targets together, if all were executed; print and return the files."""
     if len(plans) < 2 or not options.figures or len(summaries) < len(plans):
         return []
-    if any(one.interrupted or one.detached for one in summaries):
+    if any(summary.interrupted or summary.detached for summary in summaries):
         return []
     from sierra.cli.figures import from_here
 
@@ -328,8 +328,8 @@ def _preview(project: Project, plan: Plan, selection: Selection | None, built: s
 
     store, explain = project.stored(), options.explain
     runs = selection.runs if selection else None
-    found = forecast(plan, store, runs, retry=options.retry)
-    reasons = found.reasons
+    expected = forecast(plan, store, runs, retry=options.retry)
+    reasons = expected.reasons
     new = explain and reasons[Reason(ChangeReason.NEW)]
     other = explain and not plan.lacking and has_other_files(reasons)
     if new or other:
@@ -342,22 +342,22 @@ def _preview(project: Project, plan: Plan, selection: Selection | None, built: s
         target=plan.target,
         experiments=len(plan.batch.experiments),
         selected=len(selection.experiments) if selection else None,
-        runs=len(found.states),
-        to_execute=len(found.to_execute),
-        reused=len(found.states) - len(found.to_execute) - len(found.on_clusters) - len(found.given_up),
-        given_up=len(found.given_up),
-        to_reevaluate=found.to_reevaluate,
-        on_clusters=len(found.on_clusters),
-        clusters=tuple(seen(store, found.on_clusters)) if store and found.on_clusters else (),
+        runs=len(expected.states),
+        to_execute=len(expected.to_execute),
+        reused=len(expected.states) - len(expected.to_execute) - len(expected.on_clusters) - len(expected.given_up),
+        given_up=len(expected.given_up),
+        to_reevaluate=expected.to_reevaluate,
+        on_clusters=len(expected.on_clusters),
+        clusters=tuple(seen(store, expected.on_clusters)) if store and expected.on_clusters else (),
         reasons={text(reason, PREVIEW): count for reason, count in reasons.most_common()},
         notes=(*plan.notes, *([f"nothing can be executed or reused here: {plan.lacking}"] if plan.lacking else [])),
         new_because=tuple(new_runs(why_new(plan, store))) if new else (),
-        other_programs=tuple(one.whole for one in other_programs(plan, store)) if other and store else None,
+        other_programs=tuple(difference.whole for difference in other_programs(plan, store)) if other and store else None,
         build=built,
         proposal=proposal,
     )
     if not options.as_json:
-        _print(plan, preview, selection, found.to_execute, explain=explain)
+        _print(plan, preview, selection, expected.to_execute, explain=explain)
         if proposal:
             show_estimate(proposal, explain=explain, script=options.dry_run)
     for message in (*preview.notes, *(proposal.notes if proposal else ())) if options.dry_run else ():
@@ -426,7 +426,7 @@ def _again(project: Project, plan: Plan) -> list[str]:
         return []
     from sierra.explain.why_new_runs import why_again
 
-    why = [one.whole for one in why_again(plan, store)]
+    why = [difference.whole for difference in why_again(plan, store)]
     if why:
         note(f"this query was submitted before; since then: {'; '.join(why)}")
     return why
@@ -439,7 +439,7 @@ def show_estimate(proposal: Estimate, *, explain: bool, script: bool) -> None:
     if explain:
         table(
             ("setting", "value", "reason"),
-            [(one.name, "" if one.value is None else one.value, one.why) for one in proposal.settings],
+            [(setting.name, "" if setting.value is None else setting.value, setting.why) for setting in proposal.settings],
         )
     if script and proposal.script is not None:
         print(f"submission script for {proposal.runner}:")
