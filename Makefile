@@ -92,6 +92,7 @@ check: install ## style, types, the layers of the design, and its size
 	$(BIN)/lint-imports --no-logo
 	$(BIN)/python tests/bench/ratchet.py
 	$(BIN)/python tests/bench/extension_names.py
+	$(BIN)/python tests/bench/vague_names.py
 
 format: install ## rewrite the code in the project's style
 	$(BIN)/ruff check --fix

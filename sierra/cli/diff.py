@@ -137,7 +137,7 @@ def lines(answer: Comparison, *, everything: bool = False) -> Iterator[str]:
     from sierra.util.hashing import short
 
     yield f"{answer.before.kind} {short(answer.before.id)} → {answer.after.kind} {short(answer.after.id)}"
-    for _, alike in groupby(answer.differences, lambda one: (one.kind, one.rank)):
+    for _, alike in groupby(answer.differences, lambda difference: (difference.kind, difference.rank)):
         differences = list(alike)
         for difference in differences if everything else differences[:LINES]:
             yield from _difference_lines(difference, everything=everything)

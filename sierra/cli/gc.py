@@ -50,7 +50,7 @@ def gc(
         collection = project.collect(
             damaged=damaged,
             raw=raw,
-            agree=lambda found: agreed(text(found), yes, as_json, "to be removed or merged"),
+            agree=lambda planned: agreed(text(planned), yes, as_json, "to be removed or merged"),
             observer=Display(),
         )
     if collection is None:

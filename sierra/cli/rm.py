@@ -47,8 +47,8 @@ def rm(
     from sierra.cli.confirm import agreed
     from sierra.cli.progress import Display
 
-    def agree(found: Removal) -> bool:
-        return found.nothing or agreed(_lines(found), yes, as_json, "to be deleted permanently")
+    def agree(removal: Removal) -> bool:
+        return removal.nothing or agreed(_lines(removal), yes, as_json, "to be deleted permanently")
 
     project = open_project.project()
     if dry_run:

@@ -221,7 +221,7 @@ def _write(paths: StorePaths, root: Path, first: _Loss, tell: Tell) -> None:
         def may() -> None:
             if loss.executions - first.executions or loss.batches - first.batches:
                 raise SierraError("more was damaged during the repair; run the command again")
-            undisturbed(paths, session, loss.batches | {one.batch for one in loss.doubtful})
+            undisturbed(paths, session, loss.batches | {success.batch for success in loss.doubtful})
 
         publish(paths, session, prepare, may, keep={segment.name for segment in first.touched})
 

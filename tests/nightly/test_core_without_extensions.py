@@ -22,6 +22,7 @@ CHECKS = (
     ("lint-imports", "--no-logo"),
     (PYTHON, "tests/bench/ratchet.py"),
     (PYTHON, "tests/bench/extension_names.py"),
+    (PYTHON, "tests/bench/vague_names.py"),
 )
 """The steps of `make check`."""
 TESTS = (PYTHON, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-m", "not integration and not nightly", "tests/unit")

@@ -49,3 +49,25 @@ def test_a_condition_of_the_core_must_not_name_an_extension(
     monkeypatch.setattr(extension_names, "EXCEPTIONS", set())
     assert extension_names.main() == 1
     assert capsys.readouterr().err == "sierra/cli/run.py:2: a condition names 'gazebo', which belongs to an extension\n"
+
+
+def test_long_functions_must_not_have_vague_names(
+    modules: tuple[ModuleType, ModuleType], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import vague_names
+
+    monkeypatch.delitem(sys.modules, "vague_names")
+    (tmp_path / "sierra" / "store").mkdir(parents=True)
+    (tmp_path / "sierra" / "api.py").write_text("def f(found):\n    return [one for one in found]\n")
+    (tmp_path / "sierra" / "gc.py").write_text(
+        f"def f(made):\n    for one in made:\n        x = one{chr(10) * 9}        y = 1\n"
+    )
+    (tmp_path / "sierra" / "store" / "store.py").write_text(f"def f():\n    place = 1{chr(10) * 9}    return place\n")
+    monkeypatch.setattr(vague_names, "ROOT", tmp_path)
+    monkeypatch.setattr(vague_names, "REMAINING", ("api.py", "store"))
+    assert vague_names.main() == 1
+    assert capsys.readouterr().err == (
+        "sierra/gc.py:1: name this 'made' by what it holds, as run, row or path\n"
+        "sierra/gc.py:2: name this 'one' by what it holds, as run, row or path\n"
+        "sierra/api.py has no vague names: remove it from vague_names.py\n"
+    )
