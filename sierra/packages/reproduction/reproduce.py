@@ -2,26 +2,32 @@
 
 Nothing of the package is executed before all of its files are verified. Runs execute in the package's container without
 network; for anything else, the user is asked first.
+
+For a limited time, runs are chosen by their recorded durations: first the shortest run of each experiment that a claim rests
+on, claim by claim in turn, then that of each other experiment. The rest of the time is filled with the other runs, in the order
+of their numbers. With several slots, as many runs execute at the same time; the sum of the durations of the chosen runs is at
+most the budget times the slots.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, zip_longest
 from pathlib import Path
 
 from sierra import runners
 from sierra.config.project_file import LoadedProject
 from sierra.deliverables.claims.model import Evaluated
-from sierra.errors import Damaged, Missing, SierraError
+from sierra.errors import Damaged, Missing, SierraError, UsageError
 from sierra.execution.observer import Observer
 from sierra.execution.progress_display import duration
 from sierra.packages import manifest
 from sierra.packages.layout import PACKAGE, PROGRAM, PROJECT
 from sierra.packages.parts import verifier
 from sierra.packages.reading import received
-from sierra.packages.reproduction import budget, claims, confined_project, planned, report, workspace
+from sierra.packages.reproduction import claims, confined_project, planned, report, workspace
 from sierra.packages.reproduction.outcome import ReproducedBatch, Reproduction, Statement
 from sierra.packages.reproduction.planned import PlannedBatch, RecordedRun
 from sierra.replay.options import ReplayOptions
@@ -127,7 +133,7 @@ class _Work:
         possible = [run for plan in plans if not plan.missing for run in plan.runs]
         chosen = set(possible)
         if self._options.budget is not None:
-            chosen = budget.choose(possible, rests, self._options.budget, self._options.slots)
+            chosen = within_budget(possible, rests, self._options.budget, self._options.slots)
         if possible:
             open_ = any(not plan.isolated for plan in plans if not plan.missing and not chosen.isdisjoint(plan.runs))
             agree(Statement(tuple(self._lines(plans, chosen)), open_))
@@ -196,5 +202,46 @@ def _left_out(plans: Sequence[PlannedBatch], chosen: set[RecordedRun], rests: Ma
         if left and not plan.missing:
             yield f"batch {short(plan.batch)}: the budget leaves out {left:,} of {counted(len(plan.runs), 'run')}"
     for name, batches in rests.items():
-        if count := budget.untouched(possible, chosen, batches):
+        if count := untouched(possible, chosen, batches):
             yield f"claim {name}: the budget leaves out all runs of {counted(count, 'experiment')}"
+
+
+def within_budget(
+    runs: Sequence[RecordedRun], rests: Mapping[str, Sequence[str]], budget: float, slots: int
+) -> set[RecordedRun]:
+    """Return the runs to execute within `budget` seconds on `slots` slots. `rests`: the batches of each claim.
+
+    Raises UsageError if there is no time for any run.
+    """
+    chosen: set[RecordedRun] = set()
+    left = budget * slots
+    for run in _by_priority(runs, rests):
+        if run not in chosen and run.seconds <= min(left, budget):
+            chosen.add(run)
+            left -= run.seconds
+    if runs and not chosen:
+        least = min(run.seconds for run in runs)
+        raise UsageError(f"--budget: the shortest run took {duration(least)}, more than {duration(budget)}")
+    return chosen
+
+
+def _by_priority(runs: Sequence[RecordedRun], rests: Mapping[str, Sequence[str]]) -> Iterator[RecordedRun]:
+    """Yield all runs in the order in which they are chosen; some are repeated."""
+    shortest: dict[tuple[str, int], RecordedRun] = {}
+    for run in sorted(runs, key=lambda run: (run.seconds, run.number)):
+        shortest.setdefault((run.batch, run.ordinal), run)
+    each = ([run for run in shortest.values() if run.batch in batches] for batches in rests.values())
+    yield from _in_turn(each)
+    yield from shortest.values()
+    yield from sorted(runs, key=lambda run: (run.number, run.seconds))
+
+
+def _in_turn(lists: Iterable[Sequence[RecordedRun]]) -> Iterator[RecordedRun]:
+    return (run for run in chain.from_iterable(zip_longest(*lists)) if run is not None)
+
+
+def untouched(runs: Sequence[RecordedRun], chosen: set[RecordedRun], batches: Sequence[str]) -> int:
+    """Return the number of experiments of these batches without any chosen run."""
+    return len(
+        {(run.batch, run.ordinal) for run in runs if run.batch in batches} - {(run.batch, run.ordinal) for run in chosen}
+    )

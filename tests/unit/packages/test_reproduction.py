@@ -22,8 +22,8 @@ import sierra
 from sierra.errors import Missing, UsageError
 from sierra.packages import archive
 from sierra.packages.members import MANIFEST
-from sierra.packages.reproduction import budget
 from sierra.packages.reproduction.planned import RecordedRun
+from sierra.packages.reproduction.reproduce import untouched, within_budget
 from sierra.packages.subject import Member
 from tests import projects
 
@@ -337,15 +337,15 @@ def test_the_budget_touches_every_claim_before_anything_else() -> None:
     ]
     rests = {"one": ["a"], "two": ["b"]}
     first = [f"{batch}{ordinal}3" for ordinal in (0, 1) for batch in "ab"]
-    chosen = {run.run for run in budget.choose(runs, rests, budget=14, slots=2)}
+    chosen = {run.run for run in within_budget(runs, rests, budget=14, slots=2)}
     assert chosen == set(first)
-    assert {run.run for run in budget.choose(runs, rests, 7, 1)} == {"a03"}
-    assert {run.run for run in budget.choose(runs, rests, 42, 1)} == {*first, "c03", "c13"}
-    assert len(budget.choose(runs, rests, 1e6, 1)) == len(runs)
-    some = budget.choose(runs, rests, 14, 1)
-    assert [budget.untouched(runs, some, batches) for batches in rests.values()] == [1, 1]
+    assert {run.run for run in within_budget(runs, rests, 7, 1)} == {"a03"}
+    assert {run.run for run in within_budget(runs, rests, 42, 1)} == {*first, "c03", "c13"}
+    assert len(within_budget(runs, rests, 1e6, 1)) == len(runs)
+    some = within_budget(runs, rests, 14, 1)
+    assert [untouched(runs, some, batches) for batches in rests.values()] == [1, 1]
     with pytest.raises(UsageError, match="the shortest run took 0:07, more than 0:05"):
-        budget.choose(runs, rests, 5, 8)
+        within_budget(runs, rests, 5, 8)
 
 
 @pytest.mark.nightly
