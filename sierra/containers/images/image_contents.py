@@ -3,6 +3,10 @@
 They are kept in `.sierra/images/<id>/`, next to the squashfs that apptainer runs. All of them can be made again from the image.
 Every file is written under a temporary name and then renamed, so that processes that inspect the same image at the same time do
 not disturb each other.
+
+Packages are read from the records of package managers: deb-control(5) paragraphs in `var/lib/dpkg/status` (or one file each in
+`status.d`, as in distroless images), `lib/apk/db/installed` (P: and V: lines), and `METADATA` of a Python distribution
+(PEP 566).
 """
 
 from __future__ import annotations
@@ -17,7 +21,7 @@ from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
 
-from sierra.containers.images import containerfile_folder, oci, packages, podman_images, sif_format
+from sierra.containers.images import containerfile_folder, oci, podman_images, sif_format
 from sierra.containers.images import squashfs_tools as squashfs
 from sierra.containers.images.image import DEFAULT_PATH, Image, Kind, of_fields, short
 from sierra.containers.images.merge_layers import Entry, Rootfs, listed, listing, merge, resolve
@@ -38,6 +42,11 @@ FOLDER = regex(r"[a-z0-9]+-[0-9a-f]{64}")
 EXECUTABLE = 0o111
 STORED = ("form", "manifests", "config", "labels", "recipe", "created", "size", "squashfs")
 """The fields of `Contents` that are stored as they are."""
+
+STATUS, STATUS_D, APK = "var/lib/dpkg/status", "var/lib/dpkg/status.d/", "lib/apk/db/installed"
+METADATA = regex(r"(?:^|/)[^/]+\.(?:dist-info/METADATA|egg-info/PKG-INFO)$")
+LISTS, HEAD = 64 << 20, 1 << 16
+"""The greatest number of bytes that are read of a manager's list, and of one distribution's metadata."""
 
 
 @dataclass(frozen=True)
@@ -261,7 +270,7 @@ def opened(root: Path, store: StorePaths, image: Image) -> Iterator[Archive]:
 
 
 def wanted(path: str) -> int:
-    return packages.wanted(path) or sif_format.wanted(path)
+    return _wanted_list(path) or sif_format.wanted(path)
 
 
 def _of_rootfs(merged: Rootfs, image: Image) -> Contents:
@@ -273,7 +282,7 @@ def _of_rootfs(merged: Rootfs, image: Image) -> Contents:
         manifests={read.form: read.manifest} if read.manifest else {},
         config=config,
         labels=oci.labels(config),
-        packages=packages.packages(merged.kept),
+        packages=_packages(merged.kept),
         recipe=_history(config),
         created=str(config.get("created") or ""),
         size=sum(entry.size for entry in merged.entries),
@@ -292,7 +301,7 @@ def _of_squashfs(path: Path, image: Image) -> Contents:
         manifests={},
         config={"config": {"Env": [f"{name}={value}" for name, value in variables.items()]}} if own else {},
         labels=sif_format.labels(kept) or (read.labels if read else {}),
-        packages=packages.packages(kept),
+        packages=_packages(kept),
         recipe=read.recipe if read else "",
         created="",
         size=sum(entry.size for entry in entries),
@@ -332,3 +341,42 @@ def _time(text: str) -> datetime | None:
     with contextlib.suppress(ValueError):
         return datetime.fromisoformat(text).astimezone(UTC) if text else None
     return None
+
+
+def _wanted_list(path: str) -> int:
+    """Return the number of bytes of a file that `_packages` needs; 0 for a file that it does not need."""
+    if path in (STATUS, APK):
+        return LISTS
+    return HEAD if METADATA.search(path) or (path.startswith(STATUS_D) and not path.endswith(".md5sums")) else 0
+
+
+def _packages(kept: Mapping[str, bytes]) -> dict[str, tuple[str, ...]]:
+    """Return sorted lines `name==version` by package manager: dpkg, apk, python."""
+    by_manager: dict[str, set[str]] = {}
+    for path, content in kept.items():
+        for manager, line in _package_lines(path, content.decode("utf-8", "replace")):
+            by_manager.setdefault(manager, set()).add(line)
+    return {manager: tuple(sorted(lines)) for manager, lines in sorted(by_manager.items())}
+
+
+def _package_lines(path: str, text: str) -> Iterator[tuple[str, str]]:
+    if path == APK:
+        yield from (("apk", line) for line in _paragraphs(text, "P:", "V:", None))
+    elif path == STATUS or path.startswith(STATUS_D):
+        yield from (("dpkg", line) for line in _paragraphs(text, "Package:", "Version:", "Status:"))
+    else:
+        header = text.replace("\r\n", "\n").split("\n\n", 1)[0]
+        yield from (("python", line) for line in _paragraphs(header, "Name:", "Version:", None))
+
+
+def _paragraphs(text: str, name: str, version: str, status: str | None) -> Iterator[str]:
+    """Yield the name and version of each paragraph, except for packages that are marked as no longer installed."""
+    for paragraph in text.split("\n\n"):
+        fields: dict[str, str] = {}
+        for line in paragraph.split("\n"):
+            for key in (name, version, *([status] if status else [])):
+                if line.startswith(key):
+                    fields.setdefault(key, line.removeprefix(key).strip())
+        gone = status in fields and "installed" not in fields[status].split()
+        if name in fields and version in fields and not gone:
+            yield f"{fields[name]}=={fields[version]}"
