@@ -77,7 +77,7 @@ def _lines(described: PackageManifest, members: Mapping[str, Member]) -> Iterato
     yield "\n## Needs\n"
     yield from _needs(described, members)
     yield "\n## First look\n"
-    yield from _first_look(described.batches)
+    yield from _quick_check(described.batches)
     yield "\n## Full evaluation\n"
     yield from _full(described.batches)
     yield "\n## Differences that may occur"
@@ -186,7 +186,7 @@ def _machine(machine: Machine) -> str:
     return _text(", ".join(parts)) or "a machine that was not recorded"
 
 
-def _first_look(batches: tuple[PackedBatch, ...]) -> Iterator[str]:
+def _quick_check(batches: tuple[PackedBatch, ...]) -> Iterator[str]:
     """Yield how to check the files, and the shortest run of each experiment, within a short time."""
     yield f"Check the files by `python3 {PROGRAM}`, which takes seconds. Then execute a few runs of each batch again. Both"
     yield "commands state what they execute, and ask first. SIERRA compares values and decides the claims. Without it, bytes"

@@ -91,7 +91,7 @@ def find(
     finding = _Finding(root, variables, project or root, scripts, named)
     for command in commands:
         finding.command(command)
-    return finding.found(more)
+    return finding.with_files(more)
 
 
 def of_project(found: Programs, roots: Sequence[Path]) -> Programs:
@@ -149,7 +149,7 @@ class _Finding:
                 starts = starts and Path(word).name in STARTERS
         self._variables = declared  # those that `env` has set were only for this command
 
-    def found(self, more: Programs) -> Programs:
+    def with_files(self, more: Programs) -> Programs:
         self._digests.save()
         installed = (one for ones in self._installed.values() for one in ones)
         libs = (self._libraries[path] for path in sorted(self._libraries))

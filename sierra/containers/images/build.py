@@ -46,7 +46,7 @@ def build(root: Path, name: str, *, network: bool = False) -> Image:
             shutil.copytree(folder, context, symlinks=True)
             if (context / ROOTFS).is_file():
                 _run_rootfs(name, context, epoch)
-            _settle(context, epoch)
+            _normalize(context, epoch)
             labels = {containerfile_folder.LABEL: containerfile_folder.identity(folder)}
             podman_images.build(context, called, epoch=epoch, labels=labels, network=network)
     except (OSError, shutil.Error) as error:
@@ -81,7 +81,7 @@ def _why(output: str) -> str:
     return full or " ".join(lines[first : first + (2 if lines[first].endswith(":") else 1)]) if lines else "it printed no error"
 
 
-def _settle(context: Path, epoch: int) -> None:
+def _normalize(context: Path, epoch: int) -> None:
     """Give all files the same time, and the permissions that git records. podman's build copies both from the context."""
     for path in (context, *context.rglob("*")):
         if not path.is_symlink():

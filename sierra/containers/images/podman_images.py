@@ -73,12 +73,12 @@ def driver() -> str:
 
 
 def identify(name: str) -> str | None:
-    """Return the id of the image that a name stands for now, or None: see `look`."""
-    found = look(name)
+    """Return the id of the image that a name stands for now, or None: see `find`."""
+    found = find(name)
     return None if found is None else found.id
 
 
-def look(name: str) -> Image | None:
+def find(name: str) -> Image | None:
     """Return the image that a name or an id stands for now; None if podman has none. Raises Missing without podman."""
     cache = Cache(user_images(), MAX_ENTRIES)
     state, key = _state(cache), f"{_where()} {name}"

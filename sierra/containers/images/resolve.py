@@ -129,7 +129,7 @@ def _verify_tag(root: Path, image: Image) -> None:
 
 
 def _tagged(root: Path, name: str, called: str) -> Image:
-    found = podman_images.look(called)
+    found = podman_images.find(called)
     if found is None:
         again = f"run: sierra image build {name}" if called != name else "build, import or pull it, or name an image file"
         raise Missing(f"the image {called!r} is not in podman's storage; {again}")

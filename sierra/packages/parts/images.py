@@ -130,7 +130,7 @@ def _files(subject: Subject, image: Image) -> Iterator[Member]:
 
 def _archive(subject: Subject, image: Image, path: Path) -> Path:
     """Write an OCI image as a docker-archive, of which all data is checked."""
-    with opened(subject.project.root, StorePaths(path.parent), _found(subject, image)) as read, path.open("wb") as out:
+    with opened(subject.project.root, StorePaths(path.parent), _located(subject, image)) as read, path.open("wb") as out:
         read.write(out)
     return path
 
@@ -138,7 +138,7 @@ def _archive(subject: Subject, image: Image, path: Path) -> Path:
 def _squashfs(subject: Subject, image: Image, scratch: StorePaths) -> Path:
     """Return the file that apptainer runs. Raises Missing or Damaged unless it is the recorded image."""
     root = subject.project.root
-    path = rootfs(root, scratch, _found(subject, image))
+    path = rootfs(root, scratch, _located(subject, image))
     if image.file and path == root / image.file and sha256_file(path) != image.sha256:
         digest = sif_format.read(path).digest() if sif_format.is_sif(path) else sha256_file(path)
         if f"squashfs:{digest}" != image.id:
@@ -146,7 +146,7 @@ def _squashfs(subject: Subject, image: Image, scratch: StorePaths) -> Path:
     return path
 
 
-def _found(subject: Subject, image: Image) -> Image:
+def _located(subject: Subject, image: Image) -> Image:
     """Return the image with the place where it is now: its recorded file, else podman's storage."""
     path = subject.project.root / image.file
     if not image.file or (path.exists() and (path.is_dir() or sha256_file(path) == image.sha256)):

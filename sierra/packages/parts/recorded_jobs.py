@@ -129,7 +129,7 @@ class Jobs:
 
     def _lines(self, batch: str) -> Iterator[dict[str, Any]]:
         before: dict[str, str] = {}
-        for some in _some(self._store, batch):
+        for some in _in_groups(self._store, batch):
             left = _outputs(self._store, some)
             for run, files in zip(some, _inputs(self._store, some), strict=True):
                 texts = {name: content.decode("latin-1") for name, content in files}
@@ -182,7 +182,7 @@ def _declared(rules: Output) -> str:
     return "" if rules.ordered else "ordered = false"
 
 
-def _some(store: Store, batch: str) -> Iterator[list[Taken]]:
+def _in_groups(store: Store, batch: str) -> Iterator[list[Taken]]:
     """Yield the runs of a batch that can be repeated, some at a time."""
     for first, end in itertools.pairwise(_bounds(count(store, batch) // IN_A_PART + 1)):
         with store.snapshot() as snapshot:

@@ -123,7 +123,7 @@ def _lines(done: Reproduction) -> Iterator[str]:
     for batch in done.batches:
         yield from _of_batch(batch)
     if done.drawn:
-        lines = [f"{deliverable.kind} {deliverable.name}: {_found(deliverable)}" for deliverable in done.drawn]
+        lines = [f"{deliverable.kind} {deliverable.name}: {_compared(deliverable)}" for deliverable in done.drawn]
         yield from _listed("Figures, tables and comparisons (see index.html)", lines)
     changed = [f"{name}: {before}, now {now}" for name, (before, now) in done.numbers.items() if before != now]
     same = [f"{len(done.numbers) - len(changed)} of {len(done.numbers)} are the same"] if done.numbers else []
@@ -133,7 +133,7 @@ def _lines(done: Reproduction) -> Iterator[str]:
     yield from _listed("Notes on the package", done.notes)
 
 
-def _found(one: DrawnAgain) -> str:
+def _compared(one: DrawnAgain) -> str:
     """Return how a deliverable from the reproduced runs differs from that of the recorded ones, in words."""
     if one.problem:
         return f"not made: {one.problem}"

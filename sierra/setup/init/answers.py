@@ -45,11 +45,11 @@ class Ask(Protocol):
     def __call__(self, question: Question, check: Callable[[str], T]) -> T: ...
 
 
-def settled(given: str | None, question: Question, ask: Ask | None, check: Callable[[str], T]) -> T:
+def checked_answer(given: str | None, question: Question, ask: Ask | None, check: Callable[[str], T]) -> T:
     """Return the checked value: the given one, or the answer, or the one found. Raises Missing if there is none."""
     if given is None and ask is not None:
         return ask(question, check)
-    settling = question.default if given is None else given
-    if settling is None:
+    text = question.default if given is None else given
+    if text is None:
         raise Missing(question.missing)
-    return check(settling)
+    return check(text)

@@ -202,7 +202,7 @@ def _criterion(name: str, value: str) -> str | None:
         return None
 
 
-def doubts(command: str, seeds: Sequence[str], seed: Argument | None) -> Iterator[str]:
+def warnings(command: str, seeds: Sequence[str], seed: Argument | None) -> Iterator[str]:
     """Yield warnings about the seed of a program without a template."""
     if "{seed}" not in command:
         yield (

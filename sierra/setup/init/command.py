@@ -22,7 +22,7 @@ from sierra.design.run_values import Declared
 from sierra.errors import UsageError
 from sierra.execution import commands
 from sierra.setup.init import arguments, folder, named_files
-from sierra.setup.init.answers import Ask, Question, settled
+from sierra.setup.init.answers import Ask, Question, checked_answer
 from sierra.util.lazy_definitions import regex
 
 EXAMPLE = "python3 sim.py {input}"
@@ -83,7 +83,7 @@ def choose(root: Path, template: str | None, given: str | None, ask: Ask | None)
         likely[0] if len(likely) == 1 else None,
         f"{root}: {what} give the command that starts it with --command '{EXAMPLE if template else EXAMPLE_WITHOUT}'",
     )
-    return settled(given, question, ask, partial(_check, root, template))
+    return checked_answer(given, question, ask, partial(_check, root, template))
 
 
 def module_path(command: str | None, root: Path) -> str | None:
@@ -94,7 +94,7 @@ def module_path(command: str | None, root: Path) -> str | None:
     return next((place for place, path in places.items() if any((path / part).exists() for part in parts)), None)
 
 
-def doubts(
+def warnings(
     platform: Platform, root: Path, inputs: Mapping[str, object], environment: Mapping[str, str] = NOTHING
 ) -> Iterator[str]:
     """Yield warnings about a command that is allowed but probably wrong; `environment` tells it the name of its input."""

@@ -12,7 +12,7 @@ from sierra.config import extensions, find_project
 from sierra.errors import Missing, TemplateError, UsageError
 from sierra.provenance.source.plain_tree import LEFT_OUT
 from sierra.provenance.source.suggest_exclusions import is_hardly_code
-from sierra.setup.init.answers import NONE, Ask, Question, settled
+from sierra.setup.init.answers import NONE, Ask, Question, checked_answer
 from sierra.store.layout import CONFIG, PYPROJECT
 from sierra.templates.base import Template, read
 from sierra.util.lazy_definitions import regex
@@ -64,7 +64,7 @@ def check(root: Path) -> None:
         raise UsageError(f"{pyproject} has [tool.sierra] already, which {CONFIG} would hide; change that table with an editor")
 
 
-def doubts(root: Path) -> Iterator[str]:
+def warnings(root: Path) -> Iterator[str]:
     above = [parent / CONFIG for parent in root.resolve().parents if (parent / CONFIG).is_file()]
     if above:
         yield f"this folder was in the project of {above[0]}; from now on it is a separate project"
@@ -87,7 +87,7 @@ def template(
     missing = f"{root}: {what}; give the template with --template FILE{without}"
     text = f"template: the file from which the inputs of all runs are generated ({NONE} if the program reads only arguments)"
     question = Question(text, tuple(files), default if files else NONE if ask else None, missing)
-    return settled(given, question, ask, partial(_check_template, root, format))
+    return checked_answer(given, question, ask, partial(_check_template, root, format))
 
 
 def _default_template(root: Path, found: Sequence[str], main: Callable[[Path, Sequence[str]], str | None]) -> str | None:

@@ -38,7 +38,7 @@ def guess(root: Path, options: Options, ask: Ask | None) -> Guess:
     places = {name: f"{{{name}}}" for name in used} | {name: each.declared for name, each in removed.items()}
     first = next((variables.around(name, value) for name, value in values.items()), None)
     platform_name, platform = command.platform({}, started)
-    wrong = (*command.doubts(platform, root, {}), *command.services(started))
+    wrong = (*command.warnings(platform, root, {}), *command.services(started))
     return Guess(
         template=None,
         format=None,
@@ -58,5 +58,5 @@ def guess(root: Path, options: Options, ask: Ask | None) -> Guess:
         unset=tuple(f"{{{name}}}" for name in used),
         given=options.command is not None or ask is not None,
         doubtful=bool(wrong),
-        notes=(*wrong, *arguments.doubts(started, seeds, seed), *folder.doubts(root)),
+        notes=(*wrong, *arguments.warnings(started, seeds, seed), *folder.warnings(root)),
     )

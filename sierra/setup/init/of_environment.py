@@ -30,7 +30,7 @@ def guess(
     tried = {name: reads[variable] or environment.SOME for name, variable in chosen.items()}
     rest = [name for name, default in reads.items() if not default and name not in (*seeds, *chosen.values())]
     platform_name, platform = command.platform({}, started)
-    wrong = tuple(command.doubts(platform, root, {}))
+    wrong = tuple(command.warnings(platform, root, {}))
     return Guess(
         template=None,
         format=None,
@@ -50,11 +50,11 @@ def guess(
         unset=(),
         given=options.command is not None or ask is not None,
         doubtful=bool(wrong),
-        notes=(*wrong, *_doubts(seed, rest), *folder.doubts(root)),
+        notes=(*wrong, *_warnings(seed, rest), *folder.warnings(root)),
     )
 
 
-def _doubts(seed: str | None, rest: list[str]) -> tuple[str, ...]:
+def _warnings(seed: str | None, rest: list[str]) -> tuple[str, ...]:
     no_seed = 'all runs of an experiment are the same until they use the seed: set seed = { environment = "SEED" }'
     needed = f"the program reads {', '.join(rest)} too; if they have no defaults, set them under [environment]"
     return (*([] if seed else [no_seed]), *([needed] if rest else []))

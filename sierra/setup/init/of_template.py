@@ -47,7 +47,7 @@ def guess(root: Path, template: str, content: Template, options: Options, ask: A
     chosen = variables.choose(named, likely, options.variables, ask, partial(variables.check, content, per_run))
     known = (*named, *chosen, *platform.criteria())
     set_by = _environment(root, started)
-    wrong = (*command.doubts(platform, root, inputs.settings, set_by), *command.services(started or ""))
+    wrong = (*command.warnings(platform, root, inputs.settings, set_by), *command.services(started or ""))
     seeded = bool(by_platform) or "{seed}" in (started or "")
     return Guess(
         template=None if inputs.several else template,
@@ -74,8 +74,8 @@ def guess(root: Path, template: str, content: Template, options: Options, ask: A
         notes=(
             *wrong,
             *variables.with_comments(content, referenced_files.text(root / template)),
-            *variables.doubts(seed, [path for path in seeds if path not in set_by_seed], elsewhere=seeded),
-            *folder.doubts(root),
+            *variables.warnings(seed, [path for path in seeds if path not in set_by_seed], elsewhere=seeded),
+            *folder.warnings(root),
         ),
     )
 

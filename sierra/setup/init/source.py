@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 from sierra.errors import UsageError
 from sierra.provenance.source.suggest_exclusions import is_hardly_code
 from sierra.setup.init import folder
-from sierra.setup.init.answers import Ask, Question, settled
+from sierra.setup.init.answers import Ask, Question, checked_answer
 from sierra.store.layout import CONFIG
 
 if TYPE_CHECKING:
@@ -30,7 +30,9 @@ ALL = "."
 """The answer that the whole folder is source."""
 
 
-def found(root: Path, templates: Collection[str], tried: Trial | None = None) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def likely_source(
+    root: Path, templates: Collection[str], tried: Trial | None = None
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the names, without the templates, of files that may be code, and those of files that probably are not.
 
     Names of files that a tried run wrote are those of outputs, and data that it did not read are not code.
@@ -46,16 +48,16 @@ def found(root: Path, templates: Collection[str], tried: Trial | None = None) ->
 
 def choose(root: Path, templates: Collection[str], given: Sequence[str], ask: Ask | None) -> tuple[str, ...]:
     """Return the paths of the source; none means the whole folder. Raises UsageError for a path that is not in it."""
-    proposed, left_out = found(root, templates)
-    if not given and not (proposed and any((root / name).is_dir() for name in left_out)):
+    code, left_out = likely_source(root, templates)
+    if not given and not (code and any((root / name).is_dir() for name in left_out)):
         return ()
     question = Question(
         f"source: the code that results depend on; {ALL} is the whole folder, including new files."
         f" These may not be code: {', '.join(left_out)}",
-        (ALL, shlex.join(proposed)),
+        (ALL, shlex.join(code)),
         ALL,
     )
-    return settled(shlex.join(given) if given else None, question, ask, partial(_check, root))
+    return checked_answer(shlex.join(given) if given else None, question, ask, partial(_check, root))
 
 
 def _check(root: Path, text: str) -> tuple[str, ...]:

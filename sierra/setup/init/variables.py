@@ -20,7 +20,7 @@ from sierra.design.platforms.base import Platform
 from sierra.design.query import grammar
 from sierra.errors import QueryError, SierraError, UsageError
 from sierra.model import Change, Set
-from sierra.setup.init.answers import NONE, SHOWN, Ask, Question, settled
+from sierra.setup.init.answers import NONE, SHOWN, Ask, Question, checked_answer
 from sierra.templates.base import Template
 from sierra.util.lazy_definitions import regex
 from sierra.util.text import few
@@ -214,7 +214,7 @@ def _words(name: str) -> list[str]:
 def choose_seed(found: Sequence[str], given: str | None, ask: Ask | None, check: Callable[[str], T], place: str) -> T:
     """Return the place that gets each run's seed, as `check` returns it. `place` says what a place is, for the question."""
     question = Question(f"seed: {place} that gets each run's seed ({NONE} for none)", tuple(found), found[0] if found else "")
-    return settled(given, question, ask, check)
+    return checked_answer(given, question, ask, check)
 
 
 def choose(
@@ -248,7 +248,7 @@ def choose(
     return chosen
 
 
-def doubts(seed: str | None, seeds: Sequence[str], *, elsewhere: bool) -> Iterator[str]:
+def warnings(seed: str | None, seeds: Sequence[str], *, elsewhere: bool) -> Iterator[str]:
     """Yield warnings about `seeds`, the paths of numbers called so that no run's seed reaches.
 
     `elsewhere`: whether runs get seeds without a path.

@@ -453,7 +453,7 @@ def test_unbuilt_recipe_is_refused_with_the_build_command_before_the_pin_command
     recipe = project.root / "containers" / "sim"
     recipe.mkdir(parents=True)
     (recipe / "Containerfile").write_text("FROM scratch\n")
-    monkeypatch.setattr("sierra.containers.images.podman_images.look", lambda name: None)
+    monkeypatch.setattr("sierra.containers.images.podman_images.find", lambda name: None)
     with pytest.raises(Missing) as raised:
         images.pinned(project.root, "containers/sim")
     build, pin = (str(raised.value).index(f"run: sierra image {verb} containers/sim") for verb in ("build", "pin"))
