@@ -30,9 +30,7 @@ ALL = "."
 """The answer that the whole folder is source."""
 
 
-def likely_source(
-    root: Path, templates: Collection[str], tried: Trial | None = None
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def propose(root: Path, templates: Collection[str], tried: Trial | None = None) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the names, without the templates, of files that may be code, and those of files that probably are not.
 
     Names of files that a tried run wrote are those of outputs, and data that it did not read are not code.
@@ -48,7 +46,7 @@ def likely_source(
 
 def choose(root: Path, templates: Collection[str], given: Sequence[str], ask: Ask | None) -> tuple[str, ...]:
     """Return the paths of the source; none means the whole folder. Raises UsageError for a path that is not in it."""
-    code, left_out = likely_source(root, templates)
+    code, left_out = propose(root, templates)
     if not given and not (code and any((root / name).is_dir() for name in left_out)):
         return ()
     question = Question(

@@ -14,7 +14,7 @@ from sierra.errors import UsageError
 from sierra.execution.commands import PORT
 from sierra.setup.init import folder
 from sierra.setup.init.answers import SHOWN
-from sierra.setup.init.source import likely_source
+from sierra.setup.init.source import propose
 from sierra.store.layout import CONFIG, RUN_STDOUT
 from sierra.util.fs import write_whole
 from sierra.util.lazy_definitions import dataclass, field
@@ -199,7 +199,7 @@ def _lines(root: Path, guess: Guess, tried: Trial | None) -> Iterator[str]:
         yield "\n[source]  # the code that results depend on; changes to other files make no new runs"
         yield f"paths = {toml_value(guess.source)}"
     else:
-        code, left_out = likely_source(root, guess.template_paths, tried)
+        code, left_out = propose(root, guess.template_paths, tried)
         proposed = code if 0 < len(code) <= SHOWN else ("src", "sim.py")
         without = f"  # not {few(left_out, SHOWN)}" if left_out else ""
         yield f"\n# {SOURCE}\n# [source]\n# paths = {toml_value(proposed)}{without}"
