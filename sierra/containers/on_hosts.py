@@ -1,4 +1,4 @@
-"""Containers on other hosts, such as robots: what is prepared here once, and what each host gets.
+"""Containers on other hosts, such as robots: the preparation here, once, and the files that each host gets.
 
 `sierra.containers.container_setup` does the same for runs on this machine, and on nodes of a cluster that share its files.
 """
@@ -130,7 +130,7 @@ class HostContainer:
 
     @property
     def notes(self) -> Iterator[str]:
-        """Yield what the engine there cannot do, and what of the image has no effect."""
+        """Yield a line for each limit that the engine there cannot enforce, and each setting of the image without effect."""
         notes = (*_about(self._prepared), *ignored(self.engine, self.abilities, self.box))
         return (f"{self._host.name}: {note}" for note in notes)
 

@@ -75,7 +75,7 @@ class Preview:
     notes: tuple[str, ...]
     """One line for each thing that is left out."""
     facts: tuple[str, ...]
-    """Further lines for whoever opens the package."""
+    """Further lines for the reader of the package."""
     searched: tuple[str, ...] = ()
     """The words that an anonymous package was searched for; they are not in the package."""
     general: tuple[str, ...] = ()

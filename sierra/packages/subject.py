@@ -84,7 +84,7 @@ class PartResult:
     notes: tuple[str, ...] = ()
     """One line for each thing that is left out, which the user confirms."""
     facts: tuple[str, ...] = ()
-    """Lines for whoever opens the package, which nobody confirms."""
+    """Lines for the reader of the package, which need no confirmation."""
     problems: tuple[str, ...] = ()
     """One line for each reason why the package must not be written."""
 

@@ -16,7 +16,7 @@ from sierra.util.cache import Cache
 
 MAX_ENTRIES = 16
 RIGHTS = ("NoNewPrivs", "Seccomp", "CapEff", "NSpid")
-"""Lines of /proc/PID/status on which the right to trace depends; NSpid tells containers apart."""
+"""Lines of /proc/PID/status that decide about the right to trace; NSpid distinguishes containers."""
 SCOPE = Path("/proc/sys/kernel/yama/ptrace_scope")
 
 

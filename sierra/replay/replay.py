@@ -141,10 +141,10 @@ class _Executed:
     """The executions that are compared with the record."""
 
     tally: Tally
-    made: Mapping[str, str]
+    executions: Mapping[str, str]
     """The execution of each run."""
     earlier: Mapping[str, Finished]
-    """Those of earlier calls, by run."""
+    """The executions of earlier calls, by run."""
     interrupted: bool
 
 
@@ -313,12 +313,12 @@ class _Replaying:
         of, record = self._of, self._record
         failed = {run: executed.tally.statuses[run] for run in executed.tally.failed}
         counts = self._options.variation.compared
-        runs = compare_runs(record, self._store, executed.made, failed, of.rules)
+        runs = compare_runs(record, self._store, executed.executions, failed, of.rules)
         compared = [replace(run, outputs=counts(run.outputs)) for run in runs]
         before = len(record.notes)
         if of.takes_robots:
             recorded = [str(taken.execution) for taken in record.runs]
-            record.notes += on_robots.other_processors(self._store, recorded, list(executed.made.values()))
+            record.notes += on_robots.other_processors(self._store, recorded, list(executed.executions.values()))
         experiments = tuple(judge(of.project, self._store, record, compared, of.metrics, of.rules))
         self._say(record.notes[before:])
         return experiments

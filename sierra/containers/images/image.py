@@ -101,7 +101,7 @@ class ImageVariants:
 
 
 AnyImage = Image | ImageVariants
-"""What the name of an image stands for."""
+"""The image, or the images by processor, that a name refers to."""
 
 
 def variants_id(ids: Mapping[str, str]) -> str:
@@ -110,7 +110,7 @@ def variants_id(ids: Mapping[str, str]) -> str:
 
 
 def every(image: AnyImage | None) -> tuple[Image, ...]:
-    """Return all images that are known of what a name stands for."""
+    """Return all known images that a name refers to."""
     if image is None:
         return ()
     return (image,) if isinstance(image, Image) else tuple(image.known.values())

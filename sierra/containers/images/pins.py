@@ -66,7 +66,7 @@ def _variants(root: Path, name: str, known: Mapping[str, Image]) -> ImageVariant
 
 
 def _why(root: Path, name: str) -> str:
-    """Return what follows from the missing pin or, if there is no image to pin yet, what has to be done first."""
+    """Return the beginning of the remedy for a missing pin: the image must be pinned, or first be made."""
     try:
         named(root, name)
     except SierraError as error:

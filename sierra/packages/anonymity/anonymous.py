@@ -44,7 +44,7 @@ UNION ALL SELECT log, 'log of build ' || build[:10] FROM builds
 UNION ALL SELECT files, 'list of the files of image ' || image FROM images WHERE files IS NOT NULL
 UNION ALL SELECT files, 'list of the files of the source' FROM sources
 """
-"""SQL: the SHA-256 of objects, and what they are."""
+"""SQL: the SHA-256 of objects, and their descriptions."""
 
 
 @dataclass(slots=True)
@@ -56,13 +56,13 @@ class Anonymity:
     accepted: Sequence[str]
     """Texts in which words are accepted."""
     searched: tuple[str, ...] = ()
-    """The words that were searched, each with what it is."""
+    """The words that were searched, each with its kind."""
     general: tuple[str, ...] = ()
     """Words that were not searched, because they show nothing."""
     search: Search = field(init=False)
 
     def subject(self, subject: Subject) -> Subject:
-        """Return a subject whose `[package]` names nobody; collect the words first, which its records show."""
+        """Return the subject without names in `[package]`; first collect the identifying words from its records."""
         identifying, general = words(self.project, subject.store)
         self.searched = tuple(f"{word.text} ({word.kind})" for word in identifying)
         self.general = tuple(general)
@@ -190,7 +190,7 @@ class _Names:
         self._known: dict[str, str] | None = None
 
     def of(self, digest: str) -> str:
-        """Return what an object is, from its SHA-256."""
+        """Return the description of an object from its SHA-256."""
         if self._known is None:
             self._known = dict(self._pairs())
         return self._known.get(digest, f"object {digest[:10]}")

@@ -1,4 +1,4 @@
-"""Searching the content of files for words: also what is compressed, in archives, in tables, and in metadata of pictures.
+"""Search the content of files for words, including compressed files, archives, tables, and metadata of pictures.
 
 By its first bytes, a file is opened:
 
@@ -83,7 +83,7 @@ COMPRESSED: Mapping[bytes, Callable[[], Decompressor]] = {
     b"BZh": bz2.BZ2Decompressor,
     b"\xfd7zXZ\0": lambda: lzma.LZMADecompressor(memlimit=MOST_MEMORY),
 }
-"""The first bytes of compressed files, and what unpacks them."""
+"""The first bytes of compressed files, and their decompressors."""
 IN_ZIP: Mapping[int, Callable[[], Decompressor]] = {
     zipfile.ZIP_DEFLATED: lambda: zlib.decompressobj(-15),
     zipfile.ZIP_BZIP2: bz2.BZ2Decompressor,  # a small read of `zipfile` could unpack to gigabytes
@@ -118,9 +118,9 @@ class _Reading:
     """The ranges of one file that were read."""
 
     done: list[tuple[int, int]] = field(default_factory=list)
-    """Those that need no other search."""
+    """The ranges that need no other search."""
     shown: dict[str, list[tuple[int, int]]] = field(default_factory=dict)
-    """By word, those in which it was found, and whose bytes are searched again."""
+    """The ranges in which a word was found, by word; their bytes are searched again."""
 
     def show(self, begin: int, end: int, hits: Iterable[Hit]) -> None:
         """Add the words that were found in a range."""
@@ -352,7 +352,7 @@ class ContentSearch:
     # base64
 
     def _base64(self, text: Window, location: str, depth: int) -> None:
-        """Search what is encoded in a text. The rest after the first NUL is none."""
+        """Search the base64 data in a text, which ends at the first NUL."""
         rest, line, is_whole = b"", 1, True
         while block := text.read(MOST_TEXT):
             content, is_last = rest + block, len(block) < MOST_TEXT

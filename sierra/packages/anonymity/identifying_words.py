@@ -56,7 +56,7 @@ REMOTES = "SELECT DISTINCT remote FROM sources WHERE remote IS NOT NULL ORDER BY
 
 
 class Word(NamedTuple):
-    """A text that must not be in an anonymous package, and what it is."""
+    """A text that must not be in an anonymous package, and its kind."""
 
     text: str
     kind: str

@@ -47,7 +47,7 @@ MARKED = {
 }
 """The column with the session, by table."""
 BATCHLESS = ("registered_claims",)
-"""Those of the tables whose records belong to no batch."""
+"""The marked tables whose records belong to no batch."""
 
 
 def rewrite(store: Store, folder: Path, date: str) -> None:

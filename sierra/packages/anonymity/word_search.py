@@ -1,4 +1,4 @@
-"""Searching bytes for words that identify, whatever their case and spelling.
+"""Search bytes for identifying words in any case and spelling.
 
 A word is searched as UTF-8 and Latin-1, as UTF-16 and UTF-32 where a content has NUL bytes, composed and decomposed, without
 accents and with `ue` for `ü`, as JSON, XML and addresses escape it, and with other separators: `Jane Doe` is also found as

@@ -147,7 +147,7 @@ def _squashfs(subject: Subject, image: Image, scratch: StorePaths) -> Path:
 
 
 def _located(subject: Subject, image: Image) -> Image:
-    """Return the image with the place where it is now: its recorded file, else podman's storage."""
+    """Return the image with its current location: its recorded file, else podman's storage."""
     path = subject.project.root / image.file
     if not image.file or (path.exists() and (path.is_dir() or sha256_file(path) == image.sha256)):
         return image

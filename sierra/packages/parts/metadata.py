@@ -19,7 +19,7 @@ from sierra.util.regular_files import read_regular
 
 CITATION = "CITATION.cff"
 NEEDED = ("title", "authors", "license")
-"""The keys without which nobody may cite or use a package."""
+"""The keys that are necessary to cite or use a package."""
 LARGEST = 1 << 20
 """The largest number of bytes of a project's own metadata file."""
 DATED = 10

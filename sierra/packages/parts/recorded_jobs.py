@@ -170,7 +170,7 @@ class Jobs:
 
 
 def _declared(rules: Output) -> str:
-    """Return what an output declares so that different bytes may be equal; "" if nothing."""
+    """Return the declaration by which different bytes of an output count as equal; "" if there is none."""
     if rules.lines:
         return "lines: other lines may differ"
     if rules.volatile:

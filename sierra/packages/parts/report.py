@@ -1,4 +1,4 @@
-"""The part `report.html` of a package: one page that tells what the packed records say, made when the package is written.
+"""The part `report.html` of a package: one page about the packed records, made when the package is written.
 
 It is made as `sierra report` makes that of a received package: from the packed records alone, without executing anything.
 """

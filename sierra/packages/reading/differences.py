@@ -50,7 +50,7 @@ class PackageOrBatch(NamedTuple):
     id: str
     """The id of the package, or of the batch."""
     store: Store
-    """A store with what is compared and nothing else."""
+    """A store that holds only the compared records."""
     manifest: PackageManifest | None = None
     """The description of the package; None for a batch."""
 
@@ -101,7 +101,7 @@ def _metadata(before: PackageOrBatch, after: PackageOrBatch) -> Iterator[str]:
 
 
 def _sets(statement: str) -> Callable[[PackageOrBatch, PackageOrBatch], Iterator[str]]:
-    """Return a function that names what only one of two sides has, by a statement for the names."""
+    """Return a function that yields the names that only one side has; the statement selects the names of a side."""
 
     def lines(before: PackageOrBatch, after: PackageOrBatch) -> Iterator[str]:
         was, now = (set(one.store.values(str, statement)) for one in (before, after))

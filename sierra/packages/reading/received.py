@@ -45,7 +45,7 @@ class Received:
     """Its project, in a folder without the source."""
     store: Store
     notes: tuple[str, ...] = ()
-    """Warnings for whoever goes on with it."""
+    """Warnings for the user of the package."""
 
 
 def open_package(path: Path) -> Received:
@@ -81,7 +81,7 @@ def records(archive: Opened) -> list[str]:
 
 
 def _keep(archive: Archive, folder: Path) -> None:
-    """Extract what is read of a package; `folder` appears complete or not at all."""
+    """Extract the members of a package that are read; `folder` appears complete or not at all."""
     files = [name for name in archive.names(PROJECT) if not name.startswith(STORED) and name.endswith(READ)]
     wanted = [*records(archive), *files]
     with disk_errors(folder.parent):

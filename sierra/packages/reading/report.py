@@ -29,7 +29,7 @@ def write(package: Received, to: Path | None, tell: Callable[[str], None]) -> Wr
 
 
 def source(package: Received) -> make.Source:
-    """Return what a report of a package is made from."""
+    """Return the source of a report of a package."""
     return make.Source(package.project, package.store, received=_about(package), read=_from_archive(package))
 
 

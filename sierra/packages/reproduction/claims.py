@@ -1,4 +1,4 @@
-"""The claims of a package, decided by what was executed again.
+"""The claims of a package, decided by the runs that were executed again.
 
 A claim whose runs were all executed again is decided by their new values. These are the recorded ones if all outputs have the
 same bytes. A claim of which any run was not executed again is decided by the recorded values alone, because a mix of

@@ -59,7 +59,7 @@ class Rendering:
     data: str
     """The hash of the values that it shows, or the values as text."""
     values: Mapping[str, Sequence[float | None]]
-    """All numbers that it shows, by what they are."""
+    """All numbers that it shows, by their column and table."""
     picture: Picture | None = None
     table: PaperTable | None = None
     text: str = ""

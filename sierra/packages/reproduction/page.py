@@ -1,4 +1,4 @@
-"""`index.html`: what was made from the reproduced runs beside what the package has, in one file."""
+"""`index.html`: deliverables of the reproduced runs beside those of the package, in one file."""
 
 from __future__ import annotations
 

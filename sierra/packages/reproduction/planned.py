@@ -197,7 +197,7 @@ def _engine(
 
 
 def _host_access(recalled: Recalled) -> tuple[str, ...]:
-    """Return what the runs and the build use beyond their image."""
+    """Return the access to the host that the runs and the build have beyond their image."""
     build = recalled.build.row.host_access if recalled.build else ()
     return tuple(dict.fromkeys((*recalled.spec.host_access, *build)))
 

@@ -152,7 +152,7 @@ class _Work:
                 yield planned.plan(self._project, self._store, batch, self._options.engine, local=local)
 
     def _lines(self, plans: Sequence[PlannedBatch], chosen: set[RecordedRun]) -> Iterator[str]:
-        """Yield lines that say what would be executed."""
+        """Yield a line for each batch with the runs that would be executed."""
         runner = "" if self._options.runner == "local" else f" on {self._options.runner}"
         for plan in plans:
             runs = [run for run in plan.runs if run in chosen]

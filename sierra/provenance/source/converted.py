@@ -131,7 +131,7 @@ def _state(root: Path, path: bytes) -> bytes:
 
 
 class _Restored:
-    """The comparison of files with what git would restore."""
+    """The comparison of files with the bytes that git would restore."""
 
     def __init__(
         self,

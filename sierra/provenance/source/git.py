@@ -32,7 +32,7 @@ ALWAYS = (
 )
 
 PLACES = ("--show-prefix", "--show-toplevel", "--absolute-git-dir", "--git-common-dir", "--git-path index")
-"""What `git rev-parse` is asked for about a repository."""
+"""The options of `git rev-parse` for the paths of a repository."""
 NETWORK = ("GIT_SSH", "GIT_SSH_COMMAND", "GIT_SSH_VARIANT", "GIT_ASKPASS", "GIT_SSL_CAINFO", "GIT_SSL_CAPATH", "GIT_SSL_CERT")
 """Variables that control how git reaches other machines."""
 OFFLINE = {"GIT_ALLOW_PROTOCOL": "none", "GIT_NO_LAZY_FETCH": "1"}

@@ -44,7 +44,7 @@ def data(content: bytes, read_blob: ReadBlob) -> bytes:
 
 
 def proves(content: bytes, thing: str) -> bool:
-    """Return True if this content is what the id says: a commit, the files of a tree, or the data of a file of git-lfs."""
+    """Return True if the content has this id: a commit, the files of a tree, or the data of a file of git-lfs."""
     return sha256(content) == thing or is_commit(content, thing) or _is_tree(content, thing)
 
 
