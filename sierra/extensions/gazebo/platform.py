@@ -12,29 +12,15 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from fractions import Fraction
-from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, PositiveInt, StringConstraints
 
-from sierra.design.platforms.base import driver_path
+from sierra.config.field_types import Positive
+from sierra.design.platforms.base import Platform, Spanned, driver_files, driver_path, population_size
 from sierra.extensions.gazebo import robots
 from sierra.extensions.gazebo.robots import COPIES, SEED, Area, Start
-from sierra.plugin import (
-    Add,
-    Axis,
-    Change,
-    ConfigError,
-    Criterion,
-    Point,
-    Project,
-    QueryError,
-    Set,
-    Table,
-    TemplateError,
-    TemplateView,
-    values,
-)
+from sierra.plugin import Add, Change, ConfigError, Criterion, Project, QueryError, Set, Table, TemplateError, TemplateView
 
 INPUT, DRIVER, PARTS = "input.world", "gazebo_driver.py", ("gazebo_driver.py", "gazebo_transport.py")
 WORLD = "/sdf/world"
@@ -48,7 +34,6 @@ GZ_SIM = f"{WORLD}//plugin[starts-with(@filename, 'gz-sim') or contains(@filenam
 CRITERIA: Mapping[str, str] = {"population_size": "number of robots: of a population, or copies of the model `robot`"}
 TABLE = "[platforms.gazebo]"
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][\w-]*$")]
 Folder = Annotated[str, StringConstraints(pattern=r"^\w[\w./-]*$")]
 
@@ -95,7 +80,7 @@ class GazeboOptions(Table):
     )
 
 
-class Gazebo:
+class Gazebo(Platform):
     """The platform `gazebo`."""
 
     contract = 1
@@ -132,15 +117,10 @@ class Gazebo:
         """Return the change that gives the seed to the drawn starts; gzserver gets it as an argument."""
         return (Set(WORLD, "{seed}", attribute=SEED, expect=1, why="the seed"),) if self._options.start_area else ()
 
-    def criterion(self, criterion: Criterion, template: TemplateView) -> tuple[Axis, tuple[Point, ...]] | None:
+    def criterion(self, criterion: Criterion, template: TemplateView) -> Spanned | None:
         if criterion.name not in CRITERIA:
             return None
-        found, path = values(criterion.scale), self._population(template)
-        for value in found:
-            if isinstance(value, str) or value < 1 or value != int(value):
-                raise QueryError(f"population_size: {value} is not a whole number of 1 or more; use population_size=1,2,4")
-        points = tuple(Point(value, (Set(path, str(value), expect=1, why="population_size"),)) for value in found)
-        return Axis("population_size", found, "population size"), points
+        return population_size(criterion.scale, self._population(template))
 
     def criteria(self) -> Mapping[str, str]:
         return CRITERIA
@@ -173,11 +153,7 @@ class Gazebo:
     def files(self, document: bytes) -> tuple[tuple[str, bytes], ...]:
         if self._options.robot:
             document = robots.written(document, self._options.starts, self._options.start_area)
-        drivers = Path(__file__).parent / "drivers"
-        return (INPUT, document), *((name, (drivers / name).read_bytes()) for name in PARTS)
-
-    def environment(self) -> Mapping[str, str]:
-        return {}
+        return (INPUT, document), *driver_files(__file__, *PARTS)
 
     def _part(self, template: TemplateView, name: str, value: str, why: str) -> Change:
         """Return the change that sets a text below the physics; elements that are missing are added."""

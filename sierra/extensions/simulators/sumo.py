@@ -13,6 +13,8 @@ from typing import Annotated, ClassVar
 
 from pydantic import Field, StringConstraints
 
+from sierra.config.field_types import Positive
+from sierra.design.platforms.base import Platform, Spanned
 from sierra.plugin import (
     Add,
     Axis,
@@ -45,7 +47,6 @@ CRITERIA: Mapping[str, str] = {
 }
 ATTRIBUTES = {"population_size": "number", "vehicles_per_hour": "vehsPerHour"}
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 OutputName = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z-]*$")]
 
 
@@ -65,7 +66,7 @@ class SumoOptions(Table):
     )
 
 
-class Sumo:
+class Sumo(Platform):
     """The platform `sumo`."""
 
     contract = 1
@@ -90,7 +91,7 @@ class Sumo:
     def seed_changes(self) -> tuple[Change, ...]:
         return (Set(f"{self._prefix}{ROOT}//seed/@value", "{seed}", expect=1, why="the seed"),)
 
-    def criterion(self, criterion: Criterion, template: TemplateView) -> tuple[Axis, tuple[Point, ...]] | None:
+    def criterion(self, criterion: Criterion, template: TemplateView) -> Spanned | None:
         if criterion.name not in CRITERIA:
             return None
         found = values(criterion.scale)
@@ -124,9 +125,6 @@ class Sumo:
 
     def files(self, document: bytes) -> tuple[tuple[str, bytes], ...]:
         return ((INPUT, document),)
-
-    def environment(self) -> Mapping[str, str]:
-        return {}
 
     def _find(self, template: TemplateView, path: str) -> tuple[str, ...]:
         return template.find(f"{self._prefix}{path}")
