@@ -21,6 +21,7 @@ from sierra.design.platforms.base import Platform, Spanned, driver_files, driver
 from sierra.extensions.gazebo import robots
 from sierra.extensions.gazebo.robots import COPIES, SEED, Area, Start
 from sierra.plugin import Add, Change, ConfigError, Criterion, Project, QueryError, Set, Table, TemplateError, TemplateView
+from sierra.util.text import short_number
 
 INPUT, DRIVER, PARTS = "input.world", "gazebo_driver.py", ("gazebo_driver.py", "gazebo_transport.py")
 WORLD = "/sdf/world"
@@ -108,7 +109,7 @@ class Gazebo(Platform):
         if options.engine:
             found.append(Set(PHYSICS, options.engine, attribute="type", expect=1, why=f"{TABLE} engine"))
         if options.step:
-            found.append(self._part(template, "max_step_size", _plain(options.step), f"{TABLE} step"))
+            found.append(self._part(template, "max_step_size", short_number(options.step, 17), f"{TABLE} step"))
         if options.threads:
             found.append(self._part(template, "ode/solver/island_threads", str(options.threads), f"{TABLE} threads"))
         return tuple(found)
@@ -234,7 +235,3 @@ def _whole(whole: float, part: float | str, name: str, parts: str) -> None:
     count = Fraction(repr(whole)) / Fraction(str(part))
     if count.denominator != 1:
         raise ConfigError(f"{TABLE} {name}: {whole:g} s is not a whole number of {parts} of {float(part):g} s")
-
-
-def _plain(value: float) -> str:
-    return repr(value).removesuffix(".0")

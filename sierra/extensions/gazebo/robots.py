@@ -16,6 +16,7 @@ from xml.etree import ElementTree
 from pydantic import Field
 
 from sierra.plugin import Table, TemplateError
+from sierra.util.text import short_number
 
 COPIES, SEED = "copies", "seed"
 TRIES = 10_000
@@ -108,7 +109,7 @@ def _copy(model: ElementTree.Element, number: int, place: Pose) -> ElementTree.E
     if pose is None:
         pose = ElementTree.Element("pose")
         copy.insert(0, pose)
-    pose.text = " ".join(map(_plain, place))
+    pose.text = " ".join(short_number(value, 17) for value in place)
     return copy
 
 
@@ -127,7 +128,3 @@ def _pose(model: ElementTree.Element) -> Pose:
             f"the pose of the model to copy has the attribute {next(iter(pose.attrib))!r}; use a pose without it"
         )
     return x, y, z, roll, pitch, yaw
-
-
-def _plain(value: float) -> str:
-    return repr(value).removesuffix(".0")

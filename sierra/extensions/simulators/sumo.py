@@ -30,6 +30,7 @@ from sierra.plugin import (
     TemplateView,
     values,
 )
+from sierra.util.text import short_number
 
 ENDING = ".sumocfg"
 INPUT = f"input{ENDING}"
@@ -84,7 +85,9 @@ class Sumo(Platform):
 
     def changes(self, template: TemplateView) -> tuple[Change, ...]:
         wanted = {"end": self._options.end, "step-length": self._options.step_length}
-        times = (self._option(template, "time", name, _plain(value)) for name, value in wanted.items() if value is not None)
+        times = (
+            self._option(template, "time", name, short_number(value, 17)) for name, value in wanted.items() if value is not None
+        )
         seed = () if self._find(template, f"{ROOT}//seed") else (self._option(template, "random_number", "seed", "0"),)
         return (*times, *seed, *self._moved(template), *self._added(template))
 
@@ -179,7 +182,3 @@ def _configuration(project: Project) -> tuple[str, str]:
     if len(found) != 1:
         raise ConfigError(f'platform "sumo" needs one configuration, as in: template = "traffic{ENDING}"')
     return found[0]
-
-
-def _plain(value: float) -> str:
-    return repr(value).removesuffix(".0")
