@@ -17,7 +17,7 @@ from sierra.errors import Damaged, NotFound, SqlError
 from sierra.execution import targets
 from sierra.execution.plan import Plan
 from sierra.explain.diff import code, environment, images, query, run_inputs, used_files
-from sierra.explain.diff.load_sides import AFTER, BEFORE, Side, check, gather, of_batch, of_plan, pair, pair_runs
+from sierra.explain.diff.load_sides import AFTER, BEFORE, ComparedRuns, check, gather, of_batch, of_plan, pair, pair_runs
 from sierra.explain.diff.model import KINDS, Difference, Note, changed
 from sierra.store.store import Found, Snapshot, Store
 from sierra.util.lazy_definitions import dataclass
@@ -102,7 +102,7 @@ Part: TypeAlias = tuple[tuple[str, ...], Iterable[Difference]]
 
 
 def made_from(
-    snapshot: Snapshot, store: Store, root: Path, before: Side, after: Side, pairs: Sequence[tuple[int, int]]
+    snapshot: Snapshot, store: Store, root: Path, before: ComparedRuns, after: ComparedRuns, pairs: Sequence[tuple[int, int]]
 ) -> Iterator[Part]:
     """Yield the differences of everything that the runs of recorded batches and plans are made from, except their inputs.
 

@@ -13,7 +13,7 @@ from sierra.containers.images import record
 from sierra.containers.images.diff import Change, files, packages
 from sierra.containers.images.image import AnyImage, ImageVariants, every
 from sierra.errors import Damaged, NotFound
-from sierra.explain.diff.load_sides import Side
+from sierra.explain.diff.load_sides import ComparedRuns
 from sierra.explain.diff.model import ARROW, Difference, changed
 from sierra.provenance.dependency_model import mentioned
 from sierra.store.row_types import ImageRow
@@ -25,7 +25,7 @@ DETAILS = 1000
 """Maximum number of packages or files in the details."""
 
 
-def image(snapshot: Snapshot, store: Store, before: Side, after: Side, root: Path) -> Iterator[Difference]:
+def image(snapshot: Snapshot, store: Store, before: ComparedRuns, after: ComparedRuns, root: Path) -> Iterator[Difference]:
     """Yield differences of the image (its id, packages, variables and files) and of the host access of runs."""
     was, now = (side.spec.image for side in (before, after))
     if was != now:

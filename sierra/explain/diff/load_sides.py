@@ -27,7 +27,7 @@ ONE = ("run", "execution")
 
 
 @dataclass(frozen=True, slots=True)
-class Side:
+class ComparedRuns:
     """One side of a comparison."""
 
     found: Found
@@ -118,14 +118,14 @@ def make_runs(snapshot: Snapshot, place: Place, table: str, *, good_first: bool 
     snapshot.run(statement, {**place.parameters, **named})
 
 
-def gather(snapshot: Snapshot, found: Found, table: str) -> Side:
+def gather(snapshot: Snapshot, found: Found, table: str) -> ComparedRuns:
     """Return everything that the store has about one side."""
     place = where(snapshot, found)
     make_runs(snapshot, place, table)
     return _recorded(snapshot, found, place.batch, table)
 
 
-def of_batch(snapshot: Snapshot, batch: str) -> Side:
+def of_batch(snapshot: Snapshot, batch: str) -> ComparedRuns:
     """Return everything that the store has about a batch, except executions of its runs."""
     return _recorded(snapshot, Found("batch", batch, batch), batch)
 
@@ -133,7 +133,7 @@ def of_batch(snapshot: Snapshot, batch: str) -> Side:
 RUNS_OF_BATCH = "(SELECT DISTINCT ordinal, number FROM batch_runs WHERE batch = $b)"
 
 
-def _recorded(snapshot: Snapshot, found: Found, batch_id: str, table: str = "") -> Side:
+def _recorded(snapshot: Snapshot, found: Found, batch_id: str, table: str = "") -> ComparedRuns:
     """Return a side of recorded runs: those in a table, or all of a batch."""
     snapshot.views.make(("batch_runs", "specs", "sources", "replays"))
     batch = required_row(BatchRow, snapshot, "SELECT * FROM batches WHERE batch = $b", b=batch_id)
@@ -142,7 +142,7 @@ def _recorded(snapshot: Snapshot, found: Found, batch_id: str, table: str = "") 
     runs: dict[int, int] = dict(snapshot.run(count, {} if table else {"b": batch_id}))
     cells = {place: cell for place, cell in snapshot.cells(batch_id).items() if place in runs}
     session = _session(snapshot, found, batch_id)
-    return Side(
+    return ComparedRuns(
         found=found,
         table=table,
         runs=sum(runs.values()),
@@ -156,10 +156,10 @@ def _recorded(snapshot: Snapshot, found: Found, batch_id: str, table: str = "") 
     )
 
 
-def of_plan(plan: Plan) -> Side:
+def of_plan(plan: Plan) -> ComparedRuns:
     """Return a plan as a side, which nothing was executed of."""
     batch = batch_row(plan)
-    return Side(
+    return ComparedRuns(
         found=Found("batch", plan.batch.id, plan.batch.id),
         table="",
         runs=len(plan.batch.runs),
@@ -206,7 +206,7 @@ FROM {before} b JOIN pairs p ON p.was = b.ordinal JOIN {after} a ON a.ordinal = 
 """
 
 
-def pair(before: Side, after: Side) -> list[tuple[int, int]]:
+def pair(before: ComparedRuns, after: ComparedRuns) -> list[tuple[int, int]]:
     """Return the experiments that both sides have, by their places.
 
     A single experiment is paired with the one that it is compared with. Some variables do not separate experiments: an axis
@@ -220,14 +220,14 @@ def pair(before: Side, after: Side) -> list[tuple[int, int]]:
     return [(ordinal, places[key]) for ordinal, key in keys.items() if key in places]
 
 
-def pair_runs(snapshot: Snapshot, before: Side, after: Side, pairs: Sequence[tuple[int, int]]) -> None:
+def pair_runs(snapshot: Snapshot, before: ComparedRuns, after: ComparedRuns, pairs: Sequence[tuple[int, int]]) -> None:
     """Create the temporary view `both_sides` of the runs of paired experiments."""
     snapshot.add_table("pairs", was=(was for was, _ in pairs), now=(now for _, now in pairs))
     same = "" if before.is_one else "AND a.number = b.number"
     snapshot.run(BOTH.format(before=before.table, after=after.table, same=same))
 
 
-def _telling(before: Side, after: Side) -> Iterator[str]:
+def _telling(before: ComparedRuns, after: ComparedRuns) -> Iterator[str]:
     """Yield the axes that distinguish experiments."""
     for name in dict.fromkeys((*before.batch.axes, *after.batch.axes)):
         values = [{cell.get(name) for cell in side.cells.values()} for side in (before, after)]
@@ -235,7 +235,7 @@ def _telling(before: Side, after: Side) -> Iterator[str]:
             yield name
 
 
-def chosen_executions(snapshot: Snapshot, side: Side, places: Sequence[tuple[int, int]]) -> list[ChosenExecution]:
+def chosen_executions(snapshot: Snapshot, side: ComparedRuns, places: Sequence[tuple[int, int]]) -> list[ChosenExecution]:
     """Return some of a side's runs, by their experiments' places and their numbers, in that order."""
     statement = f"SELECT run, own, status, execution FROM {side.table} WHERE ordinal = $o AND number = $n"  # noqa: S608
     found = []
