@@ -20,7 +20,7 @@ from sierra.store.schema import DERIVED, LATER, RECORDED, Column, columns_with
 from sierra.store.segments import Segment, is_first_part
 from sierra.store.sql_names import column_names, identifier, quote, row_name
 from sierra.store.sql_result import RawRow
-from sierra.store.union_files import Fetch, Held, Relation, Source, relation
+from sierra.store.union_files import Fetch, IndexedRows, Relation, RowSource, relation
 from sierra.store.verified_files import verify
 from sierra.util.lazy_definitions import regex
 
@@ -345,11 +345,11 @@ class Views:
         self._note("experiments", found, {name: name for name in found.types})
         return found.sql if self._within is None else f"(SELECT * FROM {found.sql} WHERE batch = {quote(self._within)})"
 
-    def _experiment_sources(self, batch: str | None = None) -> list[Source]:
+    def _experiment_sources(self, batch: str | None = None) -> list[RowSource]:
         """Return the files and the indexed rows of experiments in the order of their segments; those of one batch, if named."""
         files = [file for file in self._files.get("experiments", ()) if batch is None or segment_of(file)[:12] == batch[:12]]
         indexed = self._index.experiments(batch) if self._index and self._index.holds("experiments") else []
-        return sorted([*files, *indexed], key=lambda one: one.first if isinstance(one, Held) else segment_of(one))
+        return sorted([*files, *indexed], key=lambda one: one.first if isinstance(one, IndexedRows) else segment_of(one))
 
     def _stored(self, name: str) -> str:
         """Return the relation of a result in the index; "" if there is none that holds for all segments."""
