@@ -86,7 +86,7 @@ class Rules:
 
 
 @dataclass(frozen=True, slots=True)
-class Made:
+class BuiltTable:
     """A derived table that was made."""
 
     columns: Mapping[str, str]
@@ -114,7 +114,7 @@ class DerivedTables:
         self.settings: tuple[str, ...] = ()
         """Statements that set up the connection again after a statement had limits of its own."""
         self._known: dict[str, Definition] | None = None
-        self._made: dict[str, Made | SierraError] = {}
+        self._made: dict[str, BuiltTable | SierraError] = {}
         self._making: list[Definition] = []
         self._listed: list[str] = []
 
@@ -175,7 +175,7 @@ class DerivedTables:
                 notes.append(str(error))
         return notes
 
-    def make(self, name: str) -> Made:
+    def make(self, name: str) -> BuiltTable:
         """Make a table and those that it needs. Raises SierraError; the error names the table that cannot be made."""
         name = name.lower()
         if name not in self._made:
@@ -188,7 +188,7 @@ class DerivedTables:
             raise found
         return found
 
-    def _make(self, definition: Definition) -> Made:
+    def _make(self, definition: Definition) -> BuiltTable:
         ordered = self._prepare(definition, self.make)
         if definition.name.lower() in self._listed:
             self._connection().execute(f"DROP VIEW temp.{identifier(definition.name)}")
@@ -200,7 +200,7 @@ class DerivedTables:
             connection.execute(f"CREATE TEMP TABLE {table} AS {rows}")
         described = self._connection().execute(f"DESCRIBE {table}").fetchall()
         count = self._connection().execute(f"SELECT count(*) FROM {table}").fetchall()[0][0]
-        return Made({row[0]: row[1] for row in described}, count, ordered)
+        return BuiltTable({row[0]: row[1] for row in described}, count, ordered)
 
     @contextlib.contextmanager
     def limited(self, origin: str) -> Iterator[DuckDBPyConnection]:
