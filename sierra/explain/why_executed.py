@@ -14,7 +14,7 @@ from sierra.explain.history import Event, events
 from sierra.explain.preview_repeat import NextRun, next_run
 from sierra.explain.why_new_runs import NewRuns
 from sierra.store.recorded_files import where
-from sierra.store.store import Found, Snapshot, Store
+from sierra.store.store import ResolvedId, Snapshot, Store
 from sierra.util.lazy_definitions import dataclass
 
 BATCHES = 10
@@ -38,7 +38,7 @@ ORDER BY coalesce(s.target, '') = coalesce(now.target, '') DESC,
 class Why:
     """Answer to `sierra why`."""
 
-    found: Found
+    found: ResolvedId
     runs: int
     history: tuple[Event, ...]
     """Events in order; for an execution, only the event of that execution."""
@@ -83,7 +83,7 @@ def why(project: LoadedProject, store: Store, prefix: str) -> Why:
     )
 
 
-def _runs(snapshot: Snapshot, found: Found) -> list[str]:
+def _runs(snapshot: Snapshot, found: ResolvedId) -> list[str]:
     """Create the table `wanted` of the runs of an id.
 
     Returns the batches that the answer covers, last used first.

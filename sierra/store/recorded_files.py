@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from sierra.errors import Damaged
 from sierra.store.duckdb_messages import first_line
 from sierra.store.segments import Segment
-from sierra.store.store import Found, Snapshot
+from sierra.store.store import ResolvedId, Snapshot
 from sierra.store.verified_files import verify
 from sierra.store.view_sql import ORDER
 from sierra.store.views import KEPT_OBJECTS
@@ -88,7 +88,7 @@ class Recorded:
                 return ""
 
 
-def take(snapshot: Snapshot, found: Found) -> list[ChosenExecution]:
+def take(snapshot: Snapshot, found: ResolvedId) -> list[ChosenExecution]:
     """Return the runs that an id names, in order, each with its effective execution or else its last one.
 
     A run or an experiment that belongs to several batches is taken from the batch that was submitted last. Batches that were
@@ -119,7 +119,7 @@ class Place:
         return {name: value for name, value in every.items() if value is not None}
 
 
-def where(snapshot: Snapshot, found: Found) -> Place:
+def where(snapshot: Snapshot, found: ResolvedId) -> Place:
     """Return the position of an id. Of several batches, the last submitted one of those executed here is taken."""
     snapshot.views.make(
         ("batch_runs", "experiments", "batches", "executions", "all_judgements", "effective", "sessions", "origins")

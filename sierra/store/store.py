@@ -75,7 +75,7 @@ SELECT DISTINCT table_layout FROM all_artifacts WHERE kind = 'table' AND lower(o
 """
 
 
-class Found(NamedTuple):
+class ResolvedId(NamedTuple):
     """The meaning of an id; `kind` is batch, experiment, run, execution, study or claim."""
 
     kind: str
@@ -272,7 +272,7 @@ class Store:
         with self.snapshot() as snapshot:
             return snapshot.views.outputs
 
-    def resolve(self, prefix: str) -> Found:
+    def resolve(self, prefix: str) -> ResolvedId:
         """Return the object whose id begins with `prefix` (at least 4 digits); for a study, the batch of its last look.
 
         Raises NotFound for none or several, and for a study without a look.
@@ -284,7 +284,7 @@ class Store:
             return found
         if found.batch is None:
             raise NotFound(f"study {found.id[:10]} has no look yet; repeat its command to continue it")
-        return Found("batch", found.batch, found.batch)
+        return ResolvedId("batch", found.batch, found.batch)
 
     def batch_id(self, prefix: str) -> str:
         """Return the id of the batch that begins with `prefix`, as `resolve` does. Raises NotFound."""
@@ -293,14 +293,14 @@ class Store:
             raise NotFound(f"{prefix!r} is the id of another kind ({found.kind}); a batch is required here")
         return found.id
 
-    def identify(self, prefix: str) -> Found:
+    def identify(self, prefix: str) -> ResolvedId:
         """Return the object whose id begins with `prefix`, as `resolve` does, but a study as a study."""
         text = prefix.lower()
         if not PREFIX.fullmatch(text):
             raise NotFound(f"{prefix!r} is not an id: use 4 to 64 hexadecimal digits, as shown by `sierra ls`")
         with self.snapshot() as snapshot:
             found = snapshot.select(
-                Found,
+                ResolvedId,
                 "SELECT 'batch' AS kind, batch AS id, batch FROM batches WHERE starts_with(batch, $p) UNION "
                 "SELECT 'experiment', experiment, max(batch) FROM experiments WHERE starts_with(experiment, $p) GROUP BY ALL "
                 "UNION SELECT 'run', run, max(batch) FROM batch_runs WHERE starts_with(run, $p) GROUP BY ALL "

@@ -19,7 +19,7 @@ from sierra.execution.plan import Plan
 from sierra.explain.diff import code, environment, images, query, run_inputs, used_files
 from sierra.explain.diff.load_sides import AFTER, BEFORE, ComparedRuns, check, gather, of_batch, of_plan, pair, pair_runs
 from sierra.explain.diff.model import KINDS, Difference, Note, changed
-from sierra.store.store import Found, Snapshot, Store
+from sierra.store.store import ResolvedId, Snapshot, Store
 from sierra.util.lazy_definitions import dataclass
 
 
@@ -27,8 +27,8 @@ from sierra.util.lazy_definitions import dataclass
 class Comparison:
     """Result of a comparison: its two sides, and their differences."""
 
-    before: Found
-    after: Found
+    before: ResolvedId
+    after: ResolvedId
     differences: tuple[Difference, ...]
     """Differences by rank."""
     same: tuple[str, ...]
@@ -125,7 +125,7 @@ NOT_EXECUTED = "{kind}: not compared, because no run was executed"
 
 
 def _parts(
-    project: LoadedProject, store: Store, old: Found, new: Found, notes: list[Note], *, results_too: bool
+    project: LoadedProject, store: Store, old: ResolvedId, new: ResolvedId, notes: list[Note], *, results_too: bool
 ) -> Iterator[Part]:
     with store.snapshot() as snapshot:
         snapshot.run("SET threads = 1")

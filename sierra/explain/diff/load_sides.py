@@ -16,7 +16,7 @@ from sierra.model import RunSpec, Value
 from sierra.store.recorded_files import ChosenExecution, Place, where
 from sierra.store.row_types import BatchRow, SessionRow, SourceRow, SpecRow
 from sierra.store.spec_rows import run_spec
-from sierra.store.store import Found, Snapshot
+from sierra.store.store import ResolvedId, Snapshot
 from sierra.store.view_sql import COUNTS, ORDER, latest
 from sierra.util.hashing import short
 from sierra.util.lazy_definitions import dataclass
@@ -30,7 +30,7 @@ ONE = ("run", "execution")
 class ComparedRuns:
     """One side of a comparison."""
 
-    found: Found
+    found: ResolvedId
     table: str
     """Name of the table of its runs; empty if their executions are not compared.
 
@@ -68,7 +68,7 @@ class ComparedRuns:
         return self.plan.target if self.plan else self.session.target if self.session else None
 
 
-def check(before: Found, after: Found) -> None:
+def check(before: ResolvedId, after: ResolvedId) -> None:
     """Check that two objects can be compared by their kinds. Raises UsageError."""
     if before.kind != after.kind and not (before.kind in ONE and after.kind in ONE):
         raise UsageError(
@@ -118,7 +118,7 @@ def make_runs(snapshot: Snapshot, place: Place, table: str, *, good_first: bool 
     snapshot.run(statement, {**place.parameters, **named})
 
 
-def gather(snapshot: Snapshot, found: Found, table: str) -> ComparedRuns:
+def gather(snapshot: Snapshot, found: ResolvedId, table: str) -> ComparedRuns:
     """Return everything that the store has about one side."""
     place = where(snapshot, found)
     make_runs(snapshot, place, table)
@@ -127,13 +127,13 @@ def gather(snapshot: Snapshot, found: Found, table: str) -> ComparedRuns:
 
 def of_batch(snapshot: Snapshot, batch: str) -> ComparedRuns:
     """Return everything that the store has about a batch, except executions of its runs."""
-    return _recorded(snapshot, Found("batch", batch, batch), batch)
+    return _recorded(snapshot, ResolvedId("batch", batch, batch), batch)
 
 
 RUNS_OF_BATCH = "(SELECT DISTINCT ordinal, number FROM batch_runs WHERE batch = $b)"
 
 
-def _recorded(snapshot: Snapshot, found: Found, batch_id: str, table: str = "") -> ComparedRuns:
+def _recorded(snapshot: Snapshot, found: ResolvedId, batch_id: str, table: str = "") -> ComparedRuns:
     """Return a side of recorded runs: those in a table, or all of a batch."""
     snapshot.views.make(("batch_runs", "specs", "sources", "replays"))
     batch = required_row(BatchRow, snapshot, "SELECT * FROM batches WHERE batch = $b", b=batch_id)
@@ -160,7 +160,7 @@ def of_plan(plan: Plan) -> ComparedRuns:
     """Return a plan as a side, which nothing was executed of."""
     batch = batch_row(plan)
     return ComparedRuns(
-        found=Found("batch", plan.batch.id, plan.batch.id),
+        found=ResolvedId("batch", plan.batch.id, plan.batch.id),
         table="",
         runs=len(plan.batch.runs),
         batch=batch,
@@ -179,7 +179,7 @@ def _whole(batch: BatchRow) -> dict[str, Value]:
     return {name: value for name in ("controller", "scenario") if (value := getattr(batch, name)) is not None}
 
 
-def _session(snapshot: Snapshot, found: Found, batch: str) -> SessionRow | None:
+def _session(snapshot: Snapshot, found: ResolvedId, batch: str) -> SessionRow | None:
     if found.kind == "execution":
         of = "session = (SELECT session FROM executions WHERE execution = $i)"
         identity = found.id

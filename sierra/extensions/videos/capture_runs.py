@@ -26,7 +26,7 @@ from sierra.replay.verdicts import Compared, Replay
 from sierra.store import captures
 from sierra.store.recorded_files import ChosenExecution, take
 from sierra.store.row_types import CaptureRow, RenderingRow
-from sierra.store.store import Found, Store
+from sierra.store.store import ResolvedId, Store
 from sierra.util.hashing import short
 from sierra.util.lazy_definitions import dataclass
 
@@ -99,7 +99,7 @@ def capture(
     return Captures(batch, tuple(made), len(known), answer.notes, answer.interrupted)
 
 
-def _chosen(store: Store, found: Found, options: CaptureOptions) -> list[ChosenExecution]:
+def _chosen(store: Store, found: ResolvedId, options: CaptureOptions) -> list[ChosenExecution]:
     """Return the measured executions that are captured. Raises NotFound if there is none."""
     with store.snapshot() as snapshot:
         named = take(snapshot, found)
