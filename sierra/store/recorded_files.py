@@ -216,10 +216,10 @@ def check_objects(snapshot: Snapshot) -> None:
     verify(segment.files["objects"] for segment in snapshot.segments if "objects" in segment.files)
 
 
-class Content:
+class FileContent:
     """One file's bytes; they can be read once, and only before the next file's."""
 
-    def __init__(self, file: Recorded, pieces: Callable[[Content], Iterator[bytes]]) -> None:
+    def __init__(self, file: Recorded, pieces: Callable[[FileContent], Iterator[bytes]]) -> None:
         self.file = file
         self.identical: bool | None = None
         """True if these are exactly the bytes that the run had; known when `pieces` ends."""
@@ -227,7 +227,7 @@ class Content:
         """The bytes in order. Raises Damaged if they differ from the record."""
 
 
-def contents(snapshot: Snapshot, files: Sequence[Recorded]) -> Iterator[Content]:
+def contents(snapshot: Snapshot, files: Sequence[Recorded]) -> Iterator[FileContent]:
     """Yield the contents of these files, each once, in the order of the store."""
     those = holding(snapshot, {file.taken.judgement for file in files if file.taken.judgement})
     yield from _objects(snapshot.holding({file.sha256 for file in files if file.sha256}), those, files)
@@ -239,7 +239,7 @@ def holding(snapshot: Snapshot, judgements: Iterable[str]) -> list[Segment]:
     return snapshot.recording("SELECT execution FROM asked")
 
 
-def _objects(segments: Sequence[Segment], holding: Sequence[Segment], files: Sequence[Recorded]) -> Iterator[Content]:
+def _objects(segments: Sequence[Segment], holding: Sequence[Segment], files: Sequence[Recorded]) -> Iterator[FileContent]:
     wanted: dict[str, list[Recorded]] = {}
     for file in files:
         wanted.setdefault(file.sha256 or "", []).append(file)
@@ -248,7 +248,7 @@ def _objects(segments: Sequence[Segment], holding: Sequence[Segment], files: Seq
     groups = _Groups([segment.files["objects"] for segment in ordered if "objects" in segment.files])
     for digest in sorted(wanted, key=groups.find(wanted)):
         for file in wanted[digest]:
-            yield Content(file, groups.pieces)
+            yield FileContent(file, groups.pieces)
 
 
 class _Groups:
@@ -285,7 +285,7 @@ class _Groups:
                     digests = self._open(place).read_row_group(group, columns=["sha256"]).column(0).to_pylist()
                     yield from ((digest, group, row) for row, digest in enumerate(digests) if digest in wanted)
 
-    def pieces(self, content: Content) -> Iterator[bytes]:
+    def pieces(self, content: FileContent) -> Iterator[bytes]:
         """Yield the bytes of one object. The whole object is verified by its hash before the first byte is yielded."""
         file = content.file
         if file.sha256 is None or file.is_dropped:
