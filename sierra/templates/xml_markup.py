@@ -45,7 +45,7 @@ _ESCAPES = {
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
+class EncodedText:
     """The text of a document, and how it is encoded."""
 
     name: str
@@ -87,7 +87,7 @@ class Source:
         return xml.replace("\n", "\r\n") if self.crlf else xml
 
 
-def read_source(data: bytes, encoding: str | None, name: str) -> Source:
+def read_source(data: bytes, encoding: str | None, name: str) -> EncodedText:
     """Return the text of a document. Raises TemplateError for declared entities, or if text and bytes do not convert."""
     mark, codec = next(((m, c) for m, c in _MARKS if data.startswith(m)), (b"", ""))
     codec = codec or next((c for start, c in _UNMARKED if data.startswith(start)), encoding or "utf-8")
@@ -101,7 +101,7 @@ def read_source(data: bytes, encoding: str | None, name: str) -> Source:
     doctype = next((match["doctype"] for match in _MARKUP.finditer(text) if match["doctype"] or match["tag"]), None) or ""
     _refuse_entities(doctype, name)
     crlf = "\r\n" in text and not re.search(r"\r(?!\n)|(?<!\r)\n", text)
-    return Source(name, mark, text, codec, codecs.lookup(codec).name in _PIECEWISE, crlf, "<!ATTLIST" in doctype)
+    return EncodedText(name, mark, text, codec, codecs.lookup(codec).name in _PIECEWISE, crlf, "<!ATTLIST" in doctype)
 
 
 def unreadable(name: str, codec: str) -> TemplateError:

@@ -16,7 +16,7 @@ from sierra.templates import xpath_time_limit
 from sierra.templates.nearest_path import nearest
 from sierra.templates.same_number import is_lost, same
 from sierra.templates.xml_characters import illegal
-from sierra.templates.xml_markup import Source, decoded
+from sierra.templates.xml_markup import EncodedText, decoded
 from sierra.util.lazy_definitions import dataclass, regex
 from sierra.util.text import one_line
 
@@ -214,7 +214,7 @@ def who(change: Change) -> str:
 class View:
     """A root element in which paths select nodes; messages name its source."""
 
-    def __init__(self, root: Element, source: Source) -> None:
+    def __init__(self, root: Element, source: EncodedText) -> None:
         self.root = root
         self.source = source
         self.namespaces = declarations(root)
