@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from sierra.extensions.formats.columnar import Columnar
 from sierra.ingest.base import UnreadableError
-from sierra.ingest.rewriting import Source
+from sierra.ingest.rewriting import OriginalFile
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -26,7 +26,7 @@ END = b"\xff\xff\xff\xff\x00\x00\x00\x00"
 class ArrowFiles(Columnar):
     """The reader of Arrow files and streams."""
 
-    def table(self, source: Source) -> pa.Table:
+    def table(self, source: OriginalFile) -> pa.Table:
         import pyarrow as pa
 
         content = source.content()
@@ -46,7 +46,7 @@ class ArrowFiles(Columnar):
             raise UnreadableError("has two columns of the same name")
         return table
 
-    def count(self, source: Source, written: int) -> int:
+    def count(self, source: OriginalFile, written: int) -> int:
         content = source.content()
         try:
             return sum(_lengths(content, 8 if content.startswith(MAGIC) else 0))

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 from sierra.extensions.formats.columnar import Columnar
 from sierra.extensions.formats.numpy_arrays import INDICES, fields_of, plain
 from sierra.ingest.base import UnreadableError
-from sierra.ingest.rewriting import Source
+from sierra.ingest.rewriting import OriginalFile
 
 if TYPE_CHECKING:
     import h5py
@@ -35,7 +35,7 @@ LINKS = 32
 class Hdf5Datasets(Columnar):
     """The reader of HDF5 files."""
 
-    def table(self, source: Source) -> pa.Table:
+    def table(self, source: OriginalFile) -> pa.Table:
         import numpy as np
         import pyarrow as pa
 
@@ -50,7 +50,7 @@ class Hdf5Datasets(Columnar):
         self.shape = replace(self.shape, places=tuple(indices))
         return pa.table(indices | {name: plain(name, array) for name, array in columns.items()})
 
-    def count(self, source: Source, written: int) -> int:
+    def count(self, source: OriginalFile, written: int) -> int:
         with opened(source) as file:
             extents = {dataset.id.get_space().get_simple_extent_npoints() for dataset in _datasets(file, self.rows).values()}
         if len(extents) > 1:
@@ -63,7 +63,7 @@ class Hdf5Datasets(Columnar):
 
 
 @contextmanager
-def opened(source: Source) -> Iterator[h5py.File]:
+def opened(source: OriginalFile) -> Iterator[h5py.File]:
     """Open an HDF5 file for reading. Raises UnreadableError for all errors of HDF5."""
     import h5py
 

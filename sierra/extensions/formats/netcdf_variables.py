@@ -20,7 +20,7 @@ from sierra.extensions.formats.hdf5_datasets import LARGEST, check, opened, reso
 from sierra.extensions.formats.hdf5_datasets import MAGIC as HDF5
 from sierra.extensions.formats.numpy_arrays import plain
 from sierra.ingest.base import UnreadableError
-from sierra.ingest.rewriting import Source
+from sierra.ingest.rewriting import OriginalFile
 from sierra.util.lazy_definitions import dataclass, replace
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ class _Contents(Protocol):
 class NetcdfVariables(Columnar):
     """The reader of NetCDF files."""
 
-    def table(self, source: Source) -> pa.Table:
+    def table(self, source: OriginalFile) -> pa.Table:
         import numpy as np
         import pyarrow as pa
 
@@ -87,7 +87,7 @@ class NetcdfVariables(Columnar):
         self.shape = replace(self.shape, places=dimensions)
         return pa.table(columns | own)
 
-    def count(self, source: Source, written: int) -> int:
+    def count(self, source: OriginalFile, written: int) -> int:
         with _contents(source) as file:
             first = self._names[0]
             return math.prod(file.length(first, place) for place in range(len(_required(file, first).dimensions)))
@@ -153,7 +153,7 @@ def _number(name: str, variable: Variable, key: str) -> float | None:
 
 
 @contextmanager
-def _contents(source: Source) -> Iterator[_Contents]:
+def _contents(source: OriginalFile) -> Iterator[_Contents]:
     head = next(source.pieces(), b"")[:8]
     if head.startswith(HDF5):
         with opened(source) as file:

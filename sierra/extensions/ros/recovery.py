@@ -19,7 +19,7 @@ from sierra.extensions.ros.output import BagOutput
 from sierra.ingest.base import UnreadableError
 from sierra.ingest.match_outputs import claims
 from sierra.ingest.model import Written
-from sierra.ingest.rewriting import Source
+from sierra.ingest.rewriting import OriginalFile
 from sierra.util.fs import fitting
 from sierra.util.lazy_definitions import dataclass
 
@@ -43,7 +43,7 @@ def recover(bag: Path, name: str, outputs: Mapping[str, Output]) -> Iterator[Rec
 
     `name` is the path of the bag in the output folder of its run. Raises OSError.
     """
-    source = Source(Written(str(bag), "", "", name, "", 0, True, bag.stat().st_size))
+    source = OriginalFile(Written(str(bag), "", "", name, "", 0, True, bag.stat().st_size))
     declared = {output: found for output in claims(outputs, name) if isinstance(found := outputs[output], BagOutput)}
     declared = {output: found for output, found in declared.items() if not found.archive}
     if not declared or _is_whole(source):
@@ -58,7 +58,7 @@ def recover(bag: Path, name: str, outputs: Mapping[str, Output]) -> Iterator[Rec
         yield Recovered(output, path, rows, reason)
 
 
-def _is_whole(source: Source) -> bool:
+def _is_whole(source: OriginalFile) -> bool:
     try:
         with opened(source) as bag:
             bag.index()
@@ -67,7 +67,7 @@ def _is_whole(source: Source) -> bool:
     return True
 
 
-def _written(source: Source, output: BagOutput, path: Path) -> tuple[int, str]:
+def _written(source: OriginalFile, output: BagOutput, path: Path) -> tuple[int, str]:
     """Write the table; return the number of its rows, and why there are no more. Raises UnreadableError without columns."""
     import pyarrow as pa
     import pyarrow.parquet as pq

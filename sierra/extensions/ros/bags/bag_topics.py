@@ -25,7 +25,7 @@ from sierra.extensions.ros.bags.message_types import MessageType, MessageTypes
 from sierra.ingest.base import UnreadableError
 from sierra.ingest.model import PLAIN, Shape
 from sierra.ingest.parquet import Parquet
-from sierra.ingest.rewriting import Rewriter, Source
+from sierra.ingest.rewriting import OriginalFile, Rewriter
 from sierra.ingest.shipped_reader_base import TableReader
 from sierra.ingest.sqlite_file import MAGIC as SQLITE
 from sierra.ingest.sqlite_file import opened as opened_database
@@ -70,7 +70,7 @@ class BagTopics(Rewriter):
     def plain(self) -> Shape:
         return replace(self.shape, format="parquet", form=replace(PLAIN, na=self.shape.form.na))
 
-    def rewrite(self, source: Source, target: BinaryIO) -> int:
+    def rewrite(self, source: OriginalFile, target: BinaryIO) -> int:
         with opened(source) as bag:
             index = bag.index()
             table = TopicTable(index, self._keys)
@@ -85,13 +85,13 @@ class BagTopics(Rewriter):
             return bag.scan(table.channels.__contains__)
         return message_rates.checked(bag.scan(lambda channel: True), table.channels, least)
 
-    def count(self, source: Source, written: int) -> int:
+    def count(self, source: OriginalFile, written: int) -> int:
         """Return the number of messages by the index, which `rewrite` has read."""
         return self._counted
 
 
 @contextmanager
-def opened(source: Source, *, whole: bool = True) -> Iterator[Bag]:
+def opened(source: OriginalFile, *, whole: bool = True) -> Iterator[Bag]:
     """Open a bag. Raises UnreadableError if it is none; `whole`: also if parts of its file are missing."""
     head = next(source.pieces(), b"")
     if head.startswith(SQLITE):
@@ -106,7 +106,7 @@ def opened(source: Source, *, whole: bool = True) -> Iterator[Bag]:
 
 
 @contextmanager
-def _plain(source: Source) -> Iterator[Path]:
+def _plain(source: OriginalFile) -> Iterator[Path]:
     """Yield the path of the decompressed file."""
     if not source.compressed:
         yield source.path

@@ -16,7 +16,7 @@ from sierra.extensions.ros.bags.bag_topics import NAMED, RECEIVED, STAMP, Keys, 
 from sierra.extensions.ros.bags.containers import NS, damage
 from sierra.ingest.base import UnreadableError
 from sierra.ingest.model import Written
-from sierra.ingest.rewriting import Source
+from sierra.ingest.rewriting import OriginalFile
 from sierra.util.hashing import sha256
 from sierra.util.text import few
 
@@ -49,7 +49,7 @@ def pictures(bag: Path, name: str, output: Output) -> list[Picture]:
     """
     if output.time not in ("", STAMP, RECEIVED):
         raise UnreadableError(f"pictures have their time in {STAMP} or {RECEIVED}, not in time = {output.time!r}")
-    source = Source(Written(str(bag), "", "", name, "", 0, True, bag.stat().st_size))
+    source = OriginalFile(Written(str(bag), "", "", name, "", 0, True, bag.stat().st_size))
     with opened(source) as content:
         index = content.index()
         table = TopicTable(index, Keys(**dict(output.own_keys)))
