@@ -29,7 +29,7 @@ from sierra.extensions.explorer.checked_files import Hashes
 from sierra.extensions.explorer.limit import AGAIN_S, Limit
 from sierra.extensions.explorer.run_table import ConditionError, RunTable, Wanted
 from sierra.extensions.explorer.snapshots import Kept, Opened, T
-from sierra.extensions.explorer.tickets import Made, Tickets
+from sierra.extensions.explorer.tickets import ServedFile, Tickets
 from sierra.store.derived_tables import Limits, Rules
 from sierra.store.read_lock import Shared
 from sierra.store.samples import Frame
@@ -302,7 +302,7 @@ class Answers:
                     made = make.of_batches(replace(source, store=self._unlimited), [self._store.batch_id(batch)], self._tell)
             finally:
                 self._part = ""
-        address = self.tickets.issue(Made("text/html; charset=utf-8", recorded.named(made)))
+        address = self.tickets.issue(ServedFile("text/html; charset=utf-8", recorded.named(made)))
         return {"address": address, "notes": list(made.notes)}
 
     def progress(self) -> str:

@@ -27,7 +27,7 @@ from sierra.extensions.explorer.answers import Answers
 from sierra.extensions.explorer.declarations import Kind
 from sierra.extensions.explorer.page import page
 from sierra.extensions.explorer.ranges import BadRange, Range
-from sierra.extensions.explorer.tickets import Made
+from sierra.extensions.explorer.tickets import ServedFile
 from sierra.util.json_types import JsonView
 from sierra.util.lazy_definitions import regex
 from sierra.util.lazy_logger import Log
@@ -240,7 +240,7 @@ class _Handler(BaseHTTPRequestHandler):
         else:
             self._answer(name, self.rfile.read(int(length)))
 
-    def _send_made(self, made: Made) -> None:
+    def _send_made(self, made: ServedFile) -> None:
         """Send a page or a file, or the part of it that the browser wants."""
         try:
             with made.open() as file:
