@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from sierra.api import Project
     from sierra.execution.observer import Observer
     from sierra.extensions.videos.capture_runs import Captures
-    from sierra.extensions.videos.render import Made
+    from sierra.extensions.videos.render import RenderedVideos
 
 
 def videos(
@@ -23,7 +23,7 @@ def videos(
     names: Sequence[str] = (),
     jobs: int | None = None,
     progress: Callable[[int, int, str], None] = lambda done, frames, what: None,
-) -> Made:
+) -> RenderedVideos:
     """Make the videos `[videos.NAME]` of a batch, or of two side by side, all or those with these names.
 
     Batches are prefixes or names of queries, by default the last batch; of two, also as `LABEL=PREFIX`. Notes say what could
@@ -43,7 +43,7 @@ def videos(
     return render.videos(project.loaded, project.store, found, names, jobs=slots(jobs), progress=progress)
 
 
-def _of_names(project: Project, names: Sequence[str], jobs: int, progress: Callable[[int, int, str], None]) -> Made:
+def _of_names(project: Project, names: Sequence[str], jobs: int, progress: Callable[[int, int, str], None]) -> RenderedVideos:
     """Make the videos with these names, each of the last batches of its queries, or else of the last batch."""
     from sierra.deliverables import comparison
     from sierra.execution.batches_of_queries import BatchesOfQueries

@@ -14,7 +14,7 @@ from sierra.errors import UsageError
 
 if TYPE_CHECKING:
     from sierra.api import Project
-    from sierra.extensions.videos.render import Made as MadeVideos
+    from sierra.extensions.videos.render import RenderedVideos
 
 
 def video(
@@ -96,7 +96,7 @@ def left_out(
     return "video" if no_videos else None
 
 
-def _print(made: MadeVideos, *, as_json: bool) -> None:
+def _print(made: RenderedVideos, *, as_json: bool) -> None:
     """Print the files and the notes; end with exit status 1 if a video could not be made."""
     for text in made.notes:
         note(text)

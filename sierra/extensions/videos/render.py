@@ -37,7 +37,7 @@ MARK = "Figures drawn by SIERRA: see the table deliverables."
 
 
 @dataclass(frozen=True, slots=True)
-class Made:
+class RenderedVideos:
     """The videos that were made, and notes."""
 
     files: list[Path]
@@ -46,10 +46,10 @@ class Made:
     """False if a video, or the file of an experiment, could not be made; notes say why."""
 
 
-def joined(made: Sequence[Made]) -> Made:
+def joined(made: Sequence[RenderedVideos]) -> RenderedVideos:
     """Return all files and notes, each note once."""
     notes = dict.fromkeys(note for part in made for note in part.notes)
-    return Made([file for part in made for file in part.files], [*notes], all(part.complete for part in made))
+    return RenderedVideos([file for part in made for file in part.files], [*notes], all(part.complete for part in made))
 
 
 def videos(
@@ -60,7 +60,7 @@ def videos(
     *,
     jobs: int = 1,
     progress: Progress = no_progress,
-) -> Made:
+) -> RenderedVideos:
     """Make the videos of a batch, or of two, all or those with these names.
 
     `batches` are by label. `jobs` is the number of files that are made at a time. Notes say what could not be shown and why.
@@ -102,7 +102,7 @@ def videos(
         finally:
             notes += _recorded(recorder)
         notes += _once(galleries, lambda one: one.time_notes.values())
-    return Made(made, notes, complete)
+    return RenderedVideos(made, notes, complete)
 
 
 def _galleries(
