@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from sierra.errors import UsageError
-from sierra.extensions.videos.sql_tracks import Columns, Rows, Source
+from sierra.extensions.videos.sql_tracks import Columns, Rows, TrackSource
 from sierra.extensions.videos.table import Video
 from sierra.store.samples import ChosenRun
 from sierra.store.sql_names import identifier, node_name, quote
@@ -32,7 +32,7 @@ NODES, EDGES, ARROWS = 500, 10_000, 1000
 class Networks:
     """The networks of some runs, whose nodes have common numbers."""
 
-    def __init__(self, source: Source, video: Video, runs: Sequence[ChosenRun]) -> None:
+    def __init__(self, source: TrackSource, video: Video, runs: Sequence[ChosenRun]) -> None:
         import numpy as np
 
         source.check(video.columns, numeric=False)

@@ -36,7 +36,7 @@ Columns = Mapping[str, "npt.NDArray[np.generic]"]
 
 
 @dataclass(frozen=True)
-class Source:
+class TrackSource:
     """One output of a batch, as a source of tracks. Several threads may use it; they read one after the other."""
 
     frame: Frame
@@ -93,7 +93,7 @@ def _belongs(output: Output) -> str:
 class Rows:
     """The rows of one run by time. `columns` are SQL expressions by name."""
 
-    def __init__(self, source: Source, run: ChosenRun, columns: Mapping[str, str]) -> None:
+    def __init__(self, source: TrackSource, run: ChosenRun, columns: Mapping[str, str]) -> None:
         self.source, self.run, self._columns = source, run, columns
         self.relation = source.relation(run)
         found = source.sql(f'SELECT "# t" AS t, count(*) AS rows FROM {self.relation} GROUP BY ALL ORDER BY ALL')
@@ -140,7 +140,7 @@ class Rows:
         return f"run {self.run.number} of experiment {self.run.experiment} at {self.source.time} {self._raw[place]:g}"
 
 
-class Content(Protocol):
+class VideoContent(Protocol):
     """The kind of states that a video shows, and the tracks of its runs."""
 
     tracks: Sequence[Track]
@@ -151,7 +151,7 @@ class Content(Protocol):
 class Matrices:
     """Matrices whose cells are rows: number of the row, number of the column, value."""
 
-    def __init__(self, source: Source, video: Video, runs: Sequence[ChosenRun]) -> None:
+    def __init__(self, source: TrackSource, video: Video, runs: Sequence[ChosenRun]) -> None:
         source.check(video.columns, numeric=True)
         self.columns = video.columns
         i, j, value = (f"{identifier(name)}::DOUBLE" for name in video.columns)
@@ -166,7 +166,7 @@ class Matrices:
     def shape(self) -> tuple[int, int]:
         return len(self.up), len(self.across)
 
-    def _places(self, source: Source, expression: str) -> Floats:
+    def _places(self, source: TrackSource, expression: str) -> Floats:
         """Return the numbers of the rows, or of the columns, in any frame."""
         import numpy as np
 
@@ -241,7 +241,7 @@ class _Matrix:
 class Grids:
     """Matrices whose rows are the rows of a table at one time."""
 
-    def __init__(self, source: Source, video: Video, runs: Sequence[ChosenRun]) -> None:
+    def __init__(self, source: TrackSource, video: Video, runs: Sequence[ChosenRun]) -> None:
         import numpy as np
 
         numeric = tuple(name for name in source.output.columns if name != source.time)
