@@ -77,7 +77,7 @@ from sierra.worker.shared_container import Container
 from sierra.worker.shared_files import shared_files
 from sierra.worker.shared_services import UNOBSERVED, SharedServices, trouble_of_services
 from sierra.worker.temporary_folders import OWN_TMP, Temporary, check_temporary
-from sierra.worker.waker import Waker
+from sierra.worker.wakeup_pipe import WakeupPipe
 
 if TYPE_CHECKING:
     from sierra.worker.file_trace import Way
@@ -119,7 +119,7 @@ class Worker:
         self.contains = False
         self.stopping = self.terminated = self.without_grace = False
         self.stop_reading_at = 0.0
-        self.waker = Waker()
+        self.wakeup = WakeupPipe()
         self.failure: str | None = None
         self.full = False
         self.numbers = itertools.count(1 + max([int(name) for name in os.listdir(folder) if name.isdigit()], default=0))
@@ -150,13 +150,13 @@ class Worker:
         """Execute all jobs in `stream`, or stop before its end: see `status`."""
         kind = os.fstat(stream.fileno()).st_mode
         if stat.S_ISFIFO(kind) or stat.S_ISSOCK(kind):
-            self.waker.watch_pipe(stream.fileno())
+            self.wakeup.watch_pipe(stream.fileno())
         threading.Thread(target=self.read, args=(stream,), daemon=True).start()
         threads = [threading.Thread(target=self.slot, args=(number,)) for number in range(self.slots)]
         for thread in threads:
             thread.start()
         while any(thread.is_alive() for thread in threads):
-            if not self.waker.wait(self.watch()):
+            if not self.wakeup.wait(self.watch()):
                 self.stop()
         if self.services is not None:
             self.services.end(skip_grace=lambda: self.without_grace)
@@ -190,12 +190,12 @@ class Worker:
         """Start no further runs, and end the running ones. Can be called by a signal handler."""
         self.stop_reading_at = self.stop_reading_at or time.monotonic() + GIVE_UP_S
         self.stopping = True
-        self.waker.wake()
+        self.wakeup.wake()
 
     def close(self) -> None:
         """Close the files of the worker."""
         self.journal.close()
-        self.waker.close()
+        self.wakeup.close()
 
     def check_stop(self) -> None:
         """Raise GivenUp if the worker was told to stop so long ago that outputs are no longer read."""
@@ -231,7 +231,7 @@ class Worker:
         container = self.containers.pop(number, None)
         if container is not None:
             container.close()
-        self.waker.wake()
+        self.wakeup.wake()
 
     def execute_inside(self, job: Job, slot: int) -> None:
         """Execute one run in the slot's container. Starts the container if there is none."""
@@ -346,7 +346,7 @@ class Worker:
             self.running[running.pid] = running
         self.note(running, {"event": "start", "execution": running.execution, "pid": running.pid, "born": birth(running.pid)})
         if running.limited or observation or self.stopping:
-            self.waker.wake()
+            self.wakeup.wake()
         status, usage = await_end(running)
         wall = time.monotonic() - started
         process.returncode = status
