@@ -23,7 +23,7 @@ outputs are not read by then count as interrupted.
 The argv of a job with services, or with commands before or after its own, is CONDUCTED and a plan for the `conductor`, which is
 started instead, and executes all of them.
 
-If a run waits for its moment, and its client has a `start_pipe`, the container is started before: see `containers.Held`.
+If a run waits for its moment, and its client has a `start_pipe`, its container starts before: see `containers.HeldContainer`.
 Otherwise its `end` has the key `delay_s`: how many seconds after its moment its program had begun, because the engine took so
 long.
 """
@@ -46,7 +46,7 @@ import time
 from typing import TYPE_CHECKING, Mapping, Sequence, TextIO
 
 from sierra.worker.conductor_report import report_of
-from sierra.worker.containers import PROGRAM, Held, await_orphans, end_container
+from sierra.worker.containers import PROGRAM, HeldContainer, await_orphans, end_container
 from sierra.worker.devices import with_own_devices
 from sierra.worker.errors import explain, why_not_started
 from sierra.worker.files import CHUNK, check_room, entries_of, is_folder, is_full, remove, unlink
@@ -321,7 +321,7 @@ class Worker:
     ) -> None:
         """Execute a run in its folder, which has been made."""
         observation = self.observations.begin(job, folder)
-        held = Held(job, folder) if job.get("waits") and job.get("client", {}).get("start_pipe") else None
+        held = HeldContainer(job, folder) if job.get("waits") and job.get("client", {}).get("start_pipe") else None
         if job.get("waits") and not self.await_moment(job, held):
             remove(folder)
             return
@@ -405,7 +405,7 @@ class Worker:
             remains["delay_s"] = wall if running.meter.since is None else running.meter.since - running.started
         self.report(job, slot, folder, began, wall, remains, status, running.meter.report() if running.meter else used(usage))
 
-    def await_moment(self, job: Job, held: Held | None) -> bool:
+    def await_moment(self, job: Job, held: HeldContainer | None) -> bool:
         """Report that a run is prepared, and wait until its moment. Return False if the worker was told to stop before.
 
         Raises NotHeld if its container has ended.
@@ -430,7 +430,7 @@ class Worker:
         now = time.monotonic()
         return time.time() if self.begin is None else self.wall + now - self.begin, now
 
-    def has_time_come(self, held: Held | None) -> bool:
+    def has_time_come(self, held: HeldContainer | None) -> bool:
         while not self.stopping:
             if held:
                 held.check()

@@ -25,7 +25,8 @@ from sierra.plugin import Add, Change, ConfigError, Criterion, Project, QueryErr
 from sierra.plugin import Pose as StartPose
 
 TABLE = "[platforms.ros]"
-DRIVER, OF_ROS_1, OF_ROS_2 = "ros_driver.py", ("ros_timekeeper.py",), ("ros2_launcher.py", "ros2_watcher.py", "ros2_fleet.py")
+DRIVER, OF_ROS_1 = "ros_driver.py", ("ros1_run.py", "ros_timekeeper.py")
+OF_ROS_2 = ("ros2_run.py", "ros2_launcher.py", "ros2_watcher.py", "ros2_fleet.py")
 """The program that starts a run, and those that it needs beside it."""
 PYTHON = "/usr/bin/python3"
 """The Python of ROS 1 on Debian and Ubuntu: nodes name it in their first line."""
