@@ -43,14 +43,14 @@ def _tree(store: Store, root: Path, before: ComparedRuns, after: ComparedRuns) -
     if after.plan:  # its files are not in the store
         files = [_file(file) for file in recorded_source_diff.changed(old.manifest, new.manifest)]
         return Difference("source", "tree", _line(files), was, now)
-    found = recorded_source_diff.between(old, new, root, lambda blob: _blob(store, blob))
+    changed = recorded_source_diff.between(old, new, root, lambda blob: _blob(store, blob))
     commits = _commits(root, before, after)
-    files = [_file(file, "content lost" if file.path in found.unknown else "binary") for file in found.files]
+    files = [_file(file, "content lost" if file.path in changed.unknown else "binary") for file in changed.files]
     line = f"{_line(files)}{_relation_text(commits, after)}"
-    unknown = [f"{path}: its content is neither in git nor in the store" for path in found.unknown]
+    unknown = [f"{path}: its content is neither in git nor in the store" for path in changed.unknown]
     more = files if len(files) > SHOWN else ()
     return Difference(
-        "source", "tree", line, was, now, lambda: (*more, *_logs(root, before, after, commits), *unknown, *found.lines)
+        "source", "tree", line, was, now, lambda: (*more, *_logs(root, before, after, commits), *unknown, *changed.lines)
     )
 
 

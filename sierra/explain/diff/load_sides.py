@@ -102,20 +102,20 @@ FROM one
 """
 
 
-def make_runs(snapshot: Snapshot, place: Place, table: str, *, good_first: bool = False, only: str = "") -> None:
+def make_runs(snapshot: Snapshot, origin: Place, table: str, *, good_first: bool = False, only: str = "") -> None:
     """Create the table of one side's runs; with `good_first`, prefer the last successful execution if none is effective."""
     snapshot.views.make(("sessions", "stale_sessions", "all_candidates", "origins"))
-    named = {} if place.execution is None else {"named": place.execution}
+    named = {} if origin.execution is None else {"named": origin.execution}
     statement = RUNS.format(
         table=table,
         latest=latest(),
-        only=place.only + only,
+        only=origin.only + only,
         order=ORDER,
         counts=f"coalesce({COUNTS}, false)",
         which="e.execution = $named" if named else "e.purpose = 'run'",
         best="counts, status IN ('ok', 'accepted'), " if good_first else "counts, ",
     )
-    snapshot.run(statement, {**place.parameters, **named})
+    snapshot.run(statement, {**origin.parameters, **named})
 
 
 def gather(snapshot: Snapshot, found: ResolvedId, table: str) -> ComparedRuns:
@@ -140,7 +140,7 @@ def _recorded(snapshot: Snapshot, found: ResolvedId, batch_id: str, table: str =
     row = required_row(SpecRow, snapshot, "SELECT * FROM specs WHERE spec = $r", r=batch.spec)
     count = f"SELECT ordinal, count(*) FROM {table or RUNS_OF_BATCH} GROUP BY ordinal"  # noqa: S608 - our own names
     runs: dict[int, int] = dict(snapshot.run(count, {} if table else {"b": batch_id}))
-    cells = {place: cell for place, cell in snapshot.cells(batch_id).items() if place in runs}
+    cells = {position: cell for position, cell in snapshot.cells(batch_id).items() if position in runs}
     session = _session(snapshot, found, batch_id)
     return ComparedRuns(
         found=found,
@@ -168,8 +168,8 @@ def of_plan(plan: Plan) -> ComparedRuns:
         names=plan.batch.runs[0].names,
         session=None,
         source=None,
-        experiments={one.ordinal: one.id for one in plan.batch.experiments},
-        cells={one.ordinal: {**_whole(batch), **one.values} for one in plan.batch.experiments},
+        experiments={experiment.ordinal: experiment.id for experiment in plan.batch.experiments},
+        cells={experiment.ordinal: {**_whole(batch), **experiment.values} for experiment in plan.batch.experiments},
         plan=plan,
     )
 

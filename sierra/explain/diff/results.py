@@ -167,10 +167,10 @@ def of_shared(snapshot: Snapshot, store: Store, project: LoadedProject, notes: l
     differing = 0
     looked = snapshot.select(Other, OTHERS, most=LOOKED_AT)
     for row in looked:
-        [was, now] = (snapshot.select(Judged, f"{JUDGED} WHERE judgement = $e", e=one)[0] for one in (row.was, row.now))
-        found = list(_outputs(snapshot, store, project, was, now, notes, f"run {short(row.run)}: "))
-        differing += bool(found)
-        details += [difference.line.removeprefix("results: ") for difference in found]
+        [was, now] = (snapshot.select(Judged, f"{JUDGED} WHERE judgement = $e", e=judged)[0] for judged in (row.was, row.now))
+        differences = list(_outputs(snapshot, store, project, was, now, notes, f"run {short(row.run)}: "))
+        differing += bool(differences)
+        details += [difference.line.removeprefix("results: ") for difference in differences]
     if differing or others > len(looked):
         line = f"results: {others} of {counted(count, 'run')} in both wrote different bytes"
         yield Difference("results", "runs", line, None, others, tuple(details))
@@ -250,15 +250,15 @@ def rows(snapshot: Snapshot) -> int:
 
 def _columns(store: Store, project: LoadedProject, before: ComparedRuns, after: ComparedRuns) -> dict[str, list[str]]:
     """Return the numeric columns that both sides wrote, by output, without time columns."""
-    found = []
+    written = []
     for side in (before, after):
         with Frame(store, side.batch.batch) as frame:
-            found.append({table.name: table.columns for table in frame.outputs(frame.written)})
+            written.append({table.name: table.columns for table in frame.outputs(frame.written)})
     times = {name: output.time for name, output in project.config.outputs.items()}
     return {
-        name: [one for one in columns if one in found[1][name] and not _is_time(one, times.get(name))]
-        for name, columns in found[0].items()
-        if name in found[1]
+        name: [column for column in columns if column in written[1][name] and not _is_time(column, times.get(name))]
+        for name, columns in written[0].items()
+        if name in written[1]
     }
 
 
@@ -287,14 +287,14 @@ def _apart(
     column: str,
 ) -> Iterator[Difference]:
     both = [(was, old[was], new[now]) for was, now in pairs if was in old and now in new]
-    other = [one for one in both if one[1].mean != one[2].mean]
+    other = [pair for pair in both if pair[1].mean != pair[2].mean]
     if not other:
         return
     lines, beyond = [], 0
-    for place, was, now in other:
+    for ordinal, was, now in other:
         interval = newcombe(was, now) or welch(was, now)
         beyond += interval is not None and not interval[0] <= 0 <= interval[1]
-        lines.append(f"{_where(before, place)}: {_compared(was, now, interval)}")
+        lines.append(f"{_where(before, ordinal)}: {_compared(was, now, interval)}")
     called = f"results: mean of {column} ({output}, at the end)"
     if len(both) == 1:
         line = f"{called}: {lines[0].removeprefix(f'{_where(before, other[0][0])}: ')}"

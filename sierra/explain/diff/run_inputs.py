@@ -43,14 +43,14 @@ def inputs(snapshot: Snapshot, before: ComparedRuns, after: ComparedRuns, notes:
     pairs = _sample(snapshot, before, after)
     content = _read(snapshot, [file for pair in pairs for files in pair.files for file in files.values()], notes)
     looked = [pair for pair in pairs if all(file.sha256 in content for files in pair.files for file in files.values())]
-    found: dict[tuple[str, str], list[tuple[_Pair, Spot]]] = {}
+    by_spot: dict[tuple[str, str], list[tuple[_Pair, Spot]]] = {}
     for pair in looked:
         for name in dict.fromkeys((*pair.files[0], *pair.files[1])):
             for spot in _spots(name, pair, content):
-                found.setdefault((name, spot.path), []).append((pair, spot))
+                by_spot.setdefault((name, spot.path), []).append((pair, spot))
     read = counted(len(looked), "run") if len(looked) == others else f"{counted(len(looked), 'run')} that could be read"
     several = any(len(files) > 1 for pair in pairs for files in pair.files)
-    for (name, _), occurrences in found.items():
+    for (name, _), occurrences in by_spot.items():
         yield _difference(f"{name}: " if several else "", occurrences, len(looked), read, before, after)
     if len(looked) < others:
         text = f"inputs differ in {others} of {counted(runs, 'compared run')}; read: {len(looked)} of them"
@@ -83,16 +83,16 @@ def _read(snapshot: Snapshot, files: Sequence[Recorded], notes: list[Note]) -> d
         if file.sha256 not in wanted and size + (file.bytes or 0) <= READ:
             wanted[file.sha256] = file
             size += file.bytes or 0
-    found: dict[str | None, bytes] = {}
+    contents_by_hash: dict[str | None, bytes] = {}
     lost: list[str] = []
     for content in contents(snapshot, list(wanted.values())):
         try:
-            found[content.file.sha256] = b"".join(content.pieces)
+            contents_by_hash[content.file.sha256] = b"".join(content.pieces)
         except Damaged as error:
             lost.append(f"{content.file.path} of run {content.file.taken.run[:10]}: {error}")
     if lost:
         notes.append(Note(f"{lost[0]}{f'; and {len(lost) - 1} more input files' * (len(lost) > 1)}", "inputs"))
-    return found
+    return contents_by_hash
 
 
 def _spots(name: str, pair: _Pair, content: Mapping[str | None, bytes]) -> Iterator[Spot]:
