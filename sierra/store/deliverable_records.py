@@ -47,10 +47,10 @@ def latest(store: Queryable, batch: str) -> list[DeliverableRow]:
     Raises Damaged, as `rows` does.
     """
     taken: set[str] = set()
-    found = []
+    newest = []
     for row in rows(store, f"SELECT * {LATEST}", b=batch):
         own = [(file, sha256) for file, sha256 in zip(row.files, row.sha256s, strict=True) if file not in taken]
         taken.update(row.files)
         if own:
-            found.append(row._replace(files=[file for file, _ in own], sha256s=[sha256 for _, sha256 in own]))
-    return found
+            newest.append(row._replace(files=[file for file, _ in own], sha256s=[sha256 for _, sha256 in own]))
+    return newest

@@ -142,15 +142,15 @@ class Index:
     def experiments(self, batch: str | None = None) -> list[IndexedRows]:
         """Return the indexed experiments, those with the same axes together; of one batch only, if one is named."""
         theirs = "" if batch is None else f" {'AND' if self._without else 'WHERE'} batch = {quote(batch)}"
-        found = []
+        indexed = []
         for number, columns in self._fetch(f"SELECT number, columns FROM {DATABASE}.experiment_sets ORDER BY number"):
             current = self._current_by(OWN)
             source = f"(SELECT * EXCLUDE {OWN} FROM {DATABASE}.{EXPERIMENTS}_{number}{current}{theirs})"
             of = f"{DATABASE}.{EXPERIMENTS}_{number} JOIN {DATABASE}.segments s ON s.seg = {OWN}{current}{theirs}"
             [(first,)] = self._fetch(f"SELECT min(s.name) FROM {of}")
             if first is not None:
-                found.append(IndexedRows(source, dict(json.loads(columns)), first))
-        return found
+                indexed.append(IndexedRows(source, dict(json.loads(columns)), first))
+        return indexed
 
     def spellings(self) -> Mapping[str, str]:
         """Return the indexed tables that runs wrote, each with the names of the first segment that has it and of the file."""

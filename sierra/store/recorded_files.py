@@ -119,20 +119,20 @@ class Place:
         return {name: value for name, value in every.items() if value is not None}
 
 
-def where(snapshot: Snapshot, found: ResolvedId) -> Place:
+def where(snapshot: Snapshot, resolved: ResolvedId) -> Place:
     """Return the position of an id. Of several batches, the last submitted one of those executed here is taken."""
     snapshot.views.make(
         ("batch_runs", "experiments", "batches", "executions", "all_judgements", "effective", "sessions", "origins")
     )
-    run = found.id if found.kind == "run" else None
-    if found.kind == "batch":
-        return Place(found.id)
-    if found.kind == "execution":
+    run = resolved.id if resolved.kind == "run" else None
+    if resolved.kind == "batch":
+        return Place(resolved.id)
+    if resolved.kind == "execution":
         snapshot.views.make(("reused_executions",))
-        [(run,)] = snapshot.run(RUN_OF_EXECUTION, {"e": found.id})
-    experiment = found.id if found.kind == "experiment" else None
+        [(run,)] = snapshot.run(RUN_OF_EXECUTION, {"e": resolved.id})
+    experiment = resolved.id if resolved.kind == "experiment" else None
     [(batch, ordinal), *_] = snapshot.run(LATEST, {"run": run, "experiment": experiment})
-    return Place(batch, ordinal, run, found.id if found.kind == "execution" else None)
+    return Place(batch, ordinal, run, resolved.id if resolved.kind == "execution" else None)
 
 
 RUN_OF_EXECUTION = """
@@ -179,10 +179,10 @@ def recorded(
     if not check:
         snapshot.views.unchecked.add("objects")
     snapshot.add_table(
-        "taken", place=range(len(runs)), run=(one.run for one in runs), execution=(one.judgement for one in runs)
+        "taken", place=range(len(runs)), run=(run.run for run in runs), execution=(run.judgement for run in runs)
     )
     snapshot.views.make(("batch_runs", "specs", "all_artifacts", KEPT_OBJECTS))
-    rows = [(place, nth, Recorded(runs[place], *rest)) for place, nth, *rest in snapshot.each(FILES, {"all": not inputs})]
+    rows = [(ordinal, nth, Recorded(runs[ordinal], *rest)) for ordinal, nth, *rest in snapshot.each(FILES, {"all": not inputs})]
     rows.sort(key=lambda row: (row[0], PARTS.get(row[2].kind, 1), row[1], natural(row[2].path)))
     return [file for _, _, file in rows]
 
@@ -295,12 +295,12 @@ class _Groups:
             raise Damaged(f"not in the store, or not readable there (SHA-256 {file.sha256})")
         try:
             whole = [self._read(*parts[0])] if len(parts) == 1 else None
-            found = sha256()
+            digest = sha256()
             for piece in whole or (self._read(*part) for part in parts):
-                found.update(piece)
+                digest.update(piece)
         except UNREADABLE as error:
             raise Damaged(f"cannot be read from {self._paths[parts[0][0]]}: {first_line(error)}") from error
-        if found.hexdigest() != file.sha256:
+        if digest.hexdigest() != file.sha256:
             raise Damaged(f"its content in the store differs from the record (SHA-256 {file.sha256})")
         content.identical = file.bytes == file.kept
         yield from whole or (self._read(*part) for part in parts)

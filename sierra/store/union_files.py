@@ -126,14 +126,14 @@ def relation(
     scans = " UNION ALL BY NAME ".join(
         _scan(mixed.values(), kinds, some, rows=rows) for kinds, some in _parts(described, several).items()
     )
-    apart = [one for one in mixed.values() if one.apart]
+    apart = [column for column in mixed.values() if column.apart]
     return Relation(
         f"(SELECT {columns} FROM ({scans}))",
         kept,
-        {one.name: one.beside for one in apart},
-        frozenset(one.name for one in apart if not one.other),
+        {column.name: column.beside for column in apart},
+        frozenset(column.name for column in apart if not column.other),
         _spellings(described),
-        frozenset(one.name for one in mixed.values() if one.nan),
+        frozenset(column.name for column in mixed.values() if column.nan),
     )
 
 
@@ -305,8 +305,8 @@ def _mixed(
         return _Mixed(name, beside, _of_times(others, seen, column) or _common(others), empty)
     texts = seen("VARCHAR", f"bit_or({bit(column)})") & NUMBERS if "VARCHAR" in others else 0
     kind = widest([*map(as_stored, numbers), *([as_stored(narrowest(texts) or "")] if texts else [])])
-    exact = [one for one in numbers if one not in ("DOUBLE", "FLOAT", EXACT_TEXT)] if kind == "DOUBLE" else []
-    rounded = any(seen(one, f"count_if({is_inexact(column, one)}) > 0") for one in exact)
+    exact = [number for number in numbers if number not in ("DOUBLE", "FLOAT", EXACT_TEXT)] if kind == "DOUBLE" else []
+    rounded = any(seen(number, f"count_if({is_inexact(column, number)}) > 0") for number in exact)
     whole = rounded and not texts and all(map(is_whole, exact)) and {*exact, "DOUBLE"} == {*numbers}
     if whole and not seen("DOUBLE", f"count_if({is_beyond(column, widest(exact))}) > 0"):
         nan = bool(seen("DOUBLE", f"count_if(isnan({column})) > 0"))

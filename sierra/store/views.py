@@ -403,18 +403,18 @@ class Views:
     def _fetch(self, statement: str) -> list[RawRow]:
         return self._execute(statement).fetchall()
 
-    def _note(self, table: str, found: Relation, sql_names: Mapping[str, str]) -> None:
+    def _note(self, table: str, rows: Relation, sql_names: Mapping[str, str]) -> None:
         """Note which columns have a `_text` column, and which were several that differ only in upper and lower case."""
-        for name, spelled in found.spellings.items():
+        for name, spelled in rows.spellings.items():
             several = " and ".join(map(repr, spelled))
             self.notes.append(f"column {sql_names[name]!r} of {table} is {several}, because SQL ignores upper and lower case")
-        for name, text in found.texts.items():
+        for name, text in rows.texts.items():
             column, beside = f"column {sql_names[name]!r} of {table}", repr(sql_names[text])
             split = "numbers in some runs and other values in others; the other values are"
-            if name in found.rounded:
+            if name in rows.rounded:
                 split = "fractions and very large whole numbers in different rows; the exact digits are"
             self.notes.append(f"{column} has {split} in {beside}")
-        for name in sorted(found.nans):
+        for name in sorted(rows.nans):
             split = "very large whole numbers, and nan in some runs; nan is NULL"
             self.notes.append(f"column {sql_names[name]!r} of {table} has {split}")
 
@@ -535,21 +535,21 @@ class Views:
         columns = {file: theirs for file, theirs in known.items() if theirs}
         counts = f"execution IN (SELECT judgement FROM ({self._counted}))"
         answers = partial(self._answers, name.lower())
-        found = relation(self._fetch, files, counts, rows=True, known=columns, answers=answers)
+        rows = relation(self._fetch, files, counts, rows=True, known=columns, answers=answers)
         axes = self.axes()
-        theirs = list(found.types)
+        theirs = list(rows.types)
         free = column_names(theirs, taken=axes)
         renamed = ", ".join(f"{identifier(c)} AS {identifier(n)}" for c, n in zip(theirs, free, strict=True) if c != n)
         rename = f" RENAME ({renamed})" if renamed else ""
         row = row_name((*axes, *free))
         self.sql_names[name.lower()] = dict(zip(theirs, free, strict=True))
-        self._note(name, found, self.sql_names[name.lower()])
+        self._note(name, rows, self.sql_names[name.lower()])
         ours = "".join(f"c.{identifier(axis)}, " for axis in axes)
         counted = f"{SETTLED}.counted" if self._settled else f"({self._counted_points})"
         return (
             f"SELECT {ours}c.number, o.file_row_number AS {identifier(row)}, "
             f"o.* EXCLUDE (file_row_number, filename) REPLACE (c.run AS run, c.execution AS execution){rename} "
-            f"FROM {found.sql} o JOIN {counted} c ON o.execution = c.judgement"
+            f"FROM {rows.sql} o JOIN {counted} c ON o.execution = c.judgement"
         )
 
     def _answers(self, output: str, files: Sequence[str], question: str) -> dict[str, int]:
