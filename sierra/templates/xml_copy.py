@@ -139,16 +139,16 @@ class XmlCopy:
     def _take_out(self, element: Element) -> None:
         """Remove an element and its line; the text after it stays."""
         parent, previous = element.getparent(), element.getprevious()
-        place, behind = Place(parent, "text") if previous is None else Place(previous, "tail"), Place(element, "tail")
-        before, after = place.read() or "", behind.read() or ""
-        raw, raw_after = self._raw(place), self._raw(behind)
+        ahead, behind = Place(parent, "text") if previous is None else Place(previous, "tail"), Place(element, "tail")
+        before, after = ahead.read() or "", behind.read() or ""
+        raw, raw_after = self._raw(ahead), self._raw(behind)
         kept, raw_kept = before + after, raw + raw_after
         if not kept.strip() and "\n" in kept:
             kept, raw_kept = (after, raw_after) if "\n" in after else (before, raw)
         parent.remove(element)
         self._touched.add(parent)
         if raw_kept != raw:
-            self._put(place, kept, raw_kept)
+            self._put(ahead, kept, raw_kept)
 
     def _repeat(self, element: Element, change: Repeat, filled: Callable[[str], str]) -> None:
         """Put copies of an element into its place, and remove the following ones of its name."""

@@ -139,13 +139,13 @@ class Mark:
 
 def marks(text: str) -> list[Mark]:
     """Return the marks of the root element and all that is in it, in the order of the document."""
-    found: list[Mark] = []
+    in_order: list[Mark] = []
     around: list[Mark] = []
     in_text = False
     last: Mark | None = None
     for match in _MARKUP.finditer(text):
         kind = match.lastgroup
-        if kind in ("cdata", "doctype") or (not around and (found or kind != "tag")):
+        if kind in ("cdata", "doctype") or (not around and (in_order or kind != "tag")):
             continue
         start, end = match.span()
         if last and in_text:
@@ -159,11 +159,11 @@ def marks(text: str) -> list[Mark]:
             last.close, last.end, last.tail_end = start, end, end
             continue
         last = Mark(start, end, end, end, end, end)
-        found.append(last)
+        in_order.append(last)
         in_text = kind == "tag" and text[end - 2] != "/"
         if in_text:
             around.append(last)
-    return found
+    return in_order
 
 
 class Attribute(NamedTuple):
