@@ -300,15 +300,15 @@ class Argos:
         """Yield the changes that remove devices, and the media that only these use."""
         why = f"{TABLE} remove_devices"
         places = [_device(name) for name in self._options.remove_devices]
-        for name, place in zip(self._options.remove_devices, places, strict=True):
-            if not template.find(place):
+        for name, path in zip(self._options.remove_devices, places, strict=True):
+            if not template.find(path):
                 raise TemplateError(f"{why}: the template has no sensor, actuator or part of a robot {name!r}; leave it out")
         for medium in dict.fromkeys(template.find(f"{ROOT}/media/*/@id") if places else ()):
             uses = f"@medium[. = {_literal(medium)}]"
-            removed = sum(len(template.find(" | ".join(f"{one}/{uses}" for one in place.split(" | ")))) for place in places)
+            removed = sum(len(template.find(" | ".join(f"{part}/{uses}" for part in path.split(" | ")))) for path in places)
             if removed and removed == len(template.find(f"//{uses}")):
                 yield Remove(f"{ROOT}/media/*[@id = {_literal(medium)}]", why=why)
-        yield from (Remove(place, why=why) for place in places)
+        yield from (Remove(path, why=why) for path in places)
 
     def _physics(self, template: Reader) -> Iterator[Change]:
         """Yield the changes of the template's physics engines that do not depend on the arena."""
@@ -391,10 +391,10 @@ class Argos:
     def _population(self, template: Reader) -> str:
         """Return the XPath of the one attribute that holds the number of robots."""
         path = self._options.population or POPULATION
-        found = len(template.find(path))
-        if found != 1 or (not self._options.population and len(template.find(ROBOTS)) != 1):
+        selected = len(template.find(path))
+        if selected != 1 or (not self._options.population and len(template.find(ROBOTS)) != 1):
             raise TemplateError(
-                f"the template must have exactly one kind of robots, and distribute it ({path} selects {found}); "
+                f"the template must have exactly one kind of robots, and distribute it ({path} selects {selected}); "
                 f"set population in {TABLE} to the XPath of one quantity"
             )
         if template.find(f"({path})/self::*"):

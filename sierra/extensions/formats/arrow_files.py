@@ -54,25 +54,25 @@ class ArrowFiles(Columnar):
             raise UnreadableError("is truncated") from error
 
 
-def _lengths(content: bytes, place: int) -> Iterator[int]:
+def _lengths(content: bytes, offset: int) -> Iterator[int]:
     """Yield the length that the metadata of each record batch state, read without an Arrow library.
 
     Each message is a mark, the size of its metadata, the metadata as a FlatBuffer, and its body. See
     https://arrow.apache.org/docs/format/Columnar.html#encapsulated-message-format.
     """
     while True:
-        mark, size = struct.unpack_from("<Ii", content, place)
+        mark, size = struct.unpack_from("<Ii", content, offset)
         if mark != MARK:
             raise UnreadableError("was written by an Arrow before 0.15, whose format is not read")
         if size == 0:
             return
-        start = place + 8
+        start = offset + 8
         message = start + _number("<I", content, start)
         body = _field("<q", content, message, 3)
         if _field("<B", content, message, 1) == RECORD_BATCH:
             header = message + _offset(content, message, 2)
             yield _field("<q", content, header + _number("<I", content, header), 0)
-        place = start + size + body
+        offset = start + size + body
 
 
 def _field(kind: str, content: bytes, table: int, number: int) -> int:

@@ -65,23 +65,23 @@ class NetcdfVariables(Columnar):
         import pyarrow as pa
 
         with _contents(source) as file:
-            found = {name: _required(file, name) for name in self._names}
-            first, *_ = found
-            dimensions = found[first].dimensions
-            for name, one in found.items():
-                if one.dimensions != dimensions:
-                    mine, others = (", ".join(names) for names in (one.dimensions, dimensions))
+            variables = {name: _required(file, name) for name in self._names}
+            first, *_ = variables
+            dimensions = variables[first].dimensions
+            for name, variable in variables.items():
+                if variable.dimensions != dimensions:
+                    mine, others = (", ".join(names) for names in (variable.dimensions, dimensions))
                     raise UnreadableError(f"the variable {name!r} has the dimensions ({mine}), but {first!r} has ({others})")
-            size = found[first].values.shape
+            size = variables[first].values.shape
             axes = [(name, file.variable(name)) for name in dimensions]
         places = np.indices(size).reshape(len(size), -1) if size else ()
         columns: dict[str, pa.Array] = {}
-        for (name, axis), place in zip(axes, places, strict=True):
+        for (name, axis), index in zip(axes, places, strict=True):
             if axis is None or axis.dimensions != (name,):
-                columns[name] = plain(name, place)
+                columns[name] = plain(name, index)
             else:
-                columns[name] = _column(name, axis).take(pa.array(place))
-        own = {name: _column(name, one) for name, one in found.items() if name not in columns}
+                columns[name] = _column(name, axis).take(pa.array(index))
+        own = {name: _column(name, variable) for name, variable in variables.items() if name not in columns}
         if len(columns) < len(dimensions):
             raise UnreadableError(f"the variable {first!r} has a dimension twice")
         self.shape = replace(self.shape, places=dimensions)
@@ -246,11 +246,11 @@ def _dimensions(content: bytes) -> Iterator[tuple[str, int]]:
     See https://docs.unidata.ucar.edu/netcdf-c/current/file_format_specifications.html. A record dimension has the length 0.
     """
     records, tag, count = struct.unpack_from(">iii", content, 4)
-    place = 16
+    offset = 16
     for _ in range(count if tag == 10 else 0):
-        [size] = struct.unpack_from(">i", content, place)
-        name = content[place + 4 : place + 4 + size].decode()
-        place += 4 + size + -size % 4
-        [length] = struct.unpack_from(">i", content, place)
-        place += 4
+        [size] = struct.unpack_from(">i", content, offset)
+        name = content[offset + 4 : offset + 4 + size].decode()
+        offset += 4 + size + -size % 4
+        [length] = struct.unpack_from(">i", content, offset)
+        offset += 4
         yield name, length or records

@@ -100,19 +100,19 @@ class Gazebo(Platform):
         self._options = options
 
     def changes(self, template: TemplateView) -> tuple[Change, ...]:
-        options, found = self._options, list[Change]()
+        options, changes = self._options, list[Change]()
         if options.robot and template.find(self._robot()):
-            found.append(Set(self._robot(), "1", attribute=COPIES, expect=1, why=f"{TABLE} robot"))
+            changes.append(Set(self._robot(), "1", attribute=COPIES, expect=1, why=f"{TABLE} robot"))
         if not template.find(PHYSICS):
-            return tuple(found)  # the check of the input refuses it
-        found.append(self._part(template, "real_time_update_rate", RATE, "no limit of the speed"))
+            return tuple(changes)  # the check of the input refuses it
+        changes.append(self._part(template, "real_time_update_rate", RATE, "no limit of the speed"))
         if options.engine:
-            found.append(Set(PHYSICS, options.engine, attribute="type", expect=1, why=f"{TABLE} engine"))
+            changes.append(Set(PHYSICS, options.engine, attribute="type", expect=1, why=f"{TABLE} engine"))
         if options.step:
-            found.append(self._part(template, "max_step_size", short_number(options.step, 17), f"{TABLE} step"))
+            changes.append(self._part(template, "max_step_size", short_number(options.step, 17), f"{TABLE} step"))
         if options.threads:
-            found.append(self._part(template, "ode/solver/island_threads", str(options.threads), f"{TABLE} threads"))
-        return tuple(found)
+            changes.append(self._part(template, "ode/solver/island_threads", str(options.threads), f"{TABLE} threads"))
+        return tuple(changes)
 
     def seed_changes(self) -> tuple[Change, ...]:
         """Return the change that gives the seed to the drawn starts; gzserver gets it as an argument."""
@@ -205,8 +205,8 @@ def _check_world(document: TemplateView) -> None:
             f"the world's name {names[0]!r} cannot be part of the names of topics; use letters, digits, _ and -"
         )
     engines = document.find(f"{PHYSICS}/@type")
-    if found := document.find(GZ_SIM) or tuple(one for one in engines if one == "ignored"):
-        raise TemplateError(f'{found[0]!r} is of gz-sim, which platform "gazebo" cannot run; use platform "command" for it')
+    if foreign := document.find(GZ_SIM) or tuple(engine for engine in engines if engine == "ignored"):
+        raise TemplateError(f'{foreign[0]!r} is of gz-sim, which platform "gazebo" cannot run; use platform "command" for it')
     if len(document.find(PHYSICS)) != 1 or len(engines) != 1:
         raise TemplateError('the world must have one physics with a type; add <physics type="ode"> with max_step_size')
     for uri in document.find("//uri"):

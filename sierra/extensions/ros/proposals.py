@@ -39,7 +39,7 @@ def _proposals(content: bytes, name: str) -> Sequence[Proposal]:
     for channel in sorted(index, key=lambda one: (one.topic, one.number)):
         alike.setdefault((channel.type, _rest(channel.topic)), []).append(channel)
     types = MessageTypes("")
-    return [_proposal(channels, sum(index[one] for one in channels), types) for channels in alike.values()]
+    return [_proposal(channels, sum(index[entry] for entry in channels), types) for channels in alike.values()]
 
 
 def _rest(topic: str) -> str:

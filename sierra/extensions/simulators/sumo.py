@@ -97,14 +97,14 @@ class Sumo(Platform):
     def criterion(self, criterion: Criterion, template: TemplateView) -> Spanned | None:
         if criterion.name not in CRITERIA:
             return None
-        found = values(criterion.scale)
+        numbers = values(criterion.scale)
         whole = criterion.name == "population_size"
-        for value in found:
+        for value in numbers:
             if isinstance(value, str) or value < 0 or (whole and value != int(value)):
                 kind = "a whole number" if whole else "a number"
                 raise QueryError(f"{criterion.name}: {value} is not {kind} of 0 or more; use {criterion.name}=1,2,4")
-        points = tuple(Point(value, (self._traffic(criterion.name, template, value),)) for value in found)
-        return Axis(criterion.name, found), points
+        points = tuple(Point(value, (self._traffic(criterion.name, template, value),)) for value in numbers)
+        return Axis(criterion.name, numbers), points
 
     def criteria(self) -> Mapping[str, str]:
         return CRITERIA
@@ -157,14 +157,14 @@ class Sumo(Platform):
             return self._option(template, "processing", "scale", str(value))
         attribute, wanted = ATTRIBUTES[name], f"[@id='{self._options.flow}']" if self._options.flow else ""
         paths = [f"{routes}:/*/flow{wanted}" for routes in self._routes]
-        found = [f"{path}/@{attribute}" for path in paths for _ in template.find(f"{path}/@id")]
+        flows = [f"{path}/@{attribute}" for path in paths for _ in template.find(f"{path}/@id")]
         if not self._routes:
             raise QueryError(f'{name} needs the routes as a template, as in: templates = {{ routes = "my.rou.xml" }}')
-        if len(found) != 1:
-            raise QueryError(f"{name}: {len(found)} flows are selected; set flow in [platforms.sumo] to the id of one")
-        if not template.find(found[0]):
+        if len(flows) != 1:
+            raise QueryError(f"{name}: {len(flows)} flows are selected; set flow in [platforms.sumo] to the id of one")
+        if not template.find(flows[0]):
             raise QueryError(f"{name}: the flow has no {attribute}, and may have another rate; give it {attribute}")
-        return Set(found[0], str(value), expect=1, why=name)
+        return Set(flows[0], str(value), expect=1, why=name)
 
     def _check_beside(self, option: str, name: str) -> None:
         there = os.path.normpath(f"{self._folder}/{name}" if self._folder else name)

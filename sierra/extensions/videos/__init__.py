@@ -39,8 +39,8 @@ def videos(
         raise UsageError(f"a video shows two batches at most, not {len(batches)}")
     if not batches and names:
         return _of_names(project, names, slots(jobs), progress)
-    found = project.groups_of(batches) if len(batches) == 2 else {"": project.batch(*batches)}
-    return render.videos(project.loaded, project.store, found, names, jobs=slots(jobs), progress=progress)
+    groups = project.groups_of(batches) if len(batches) == 2 else {"": project.batch(*batches)}
+    return render.videos(project.loaded, project.store, groups, names, jobs=slots(jobs), progress=progress)
 
 
 def _of_names(project: Project, names: Sequence[str], jobs: int, progress: Callable[[int, int, str], None]) -> RenderedVideos:
@@ -53,13 +53,13 @@ def _of_names(project: Project, names: Sequence[str], jobs: int, progress: Calla
     by_query: dict[tuple[str, ...], list[str]] = {}
     for name in names:
         by_query.setdefault(tuple(declared[name].query) if name in declared else (), []).append(name)
-    made = []
+    rendered = []
     for words, some in by_query.items():
         batches = comparison.of_queries(queries, words) if words else {"": project.batch()}
         if len(batches) > 2:
             raise UsageError(f"[videos.{some[0]}] query: a video shows two batches at most, not {len(batches)}")
-        made.append(render.videos(project.loaded, project.store, batches, some, jobs=jobs, progress=progress))
-    return render.joined(made)
+        rendered.append(render.videos(project.loaded, project.store, batches, some, jobs=jobs, progress=progress))
+    return render.joined(rendered)
 
 
 def capture(

@@ -26,7 +26,7 @@ class Poses:
             source.check((video.robot,), numeric=False)
         self.robots = _robots(source, video.robot, runs) if video.robot else []
         """The names of robots in their natural order, if a column has them."""
-        expressions = {f"c{place}": f"{identifier(name)}::DOUBLE" for place, name in enumerate(video.columns)}
+        expressions = {f"c{index}": f"{identifier(name)}::DOUBLE" for index, name in enumerate(video.columns)}
         if self.robots:
             members = ", ".join(map(quote, self.robots))
             expressions["robot"] = f"enum_code({identifier(video.robot)}::VARCHAR::ENUM({members}))::DOUBLE"

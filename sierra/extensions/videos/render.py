@@ -74,7 +74,7 @@ def videos(
     elif not names:
         wanted = bound.unbound(wanted)
     encode.check({format for video in wanted.values() for format in video.formats})
-    made: list[Path] = []
+    written: list[Path] = []
     complete = True
     with ExitStack() as frames:
         galleries = _galleries(project, store, batches, _tables(wanted), frames)
@@ -96,13 +96,13 @@ def videos(
                     complete = False
                     continue
                 recorder.add(prepared.content(), files)
-                made += files
+                written += files
                 notes += prepared.notes
                 complete &= prepared.complete
         finally:
             notes += _recorded(recorder)
         notes += _once(galleries, lambda one: one.time_notes.values())
-    return RenderedVideos(made, notes, complete)
+    return RenderedVideos(written, notes, complete)
 
 
 def _galleries(

@@ -96,8 +96,8 @@ class Rows:
     def __init__(self, source: TrackSource, run: ChosenRun, columns: Mapping[str, str]) -> None:
         self.source, self.run, self._columns = source, run, columns
         self.relation = source.relation(run)
-        found = source.sql(f'SELECT "# t" AS t, count(*) AS rows FROM {self.relation} GROUP BY ALL ORDER BY ALL')
-        t, counts = numpy_of(found.column("t")), numpy_of(found.column("rows"))
+        counted = source.sql(f'SELECT "# t" AS t, count(*) AS rows FROM {self.relation} GROUP BY ALL ORDER BY ALL')
+        t, counts = numpy_of(counted.column("t")), numpy_of(counted.column("rows"))
         import numpy as np
 
         good = np.isfinite(t.astype(np.float64))
@@ -207,9 +207,9 @@ class _Matrix:
 
         high, wide = self._grid.shape
         last: tuple[Columns, npt.NDArray[np.intp]] | None = None
-        for place, columns in enumerate(self._rows.each()):
+        for index, columns in enumerate(self._rows.each()):
             same = last is not None and all(np.array_equal(columns[name], last[0][name]) for name in ("i", "j"))
-            cells = last[1] if same and last is not None else self._cells(columns, place)
+            cells = last[1] if same and last is not None else self._cells(columns, index)
             last = columns, cells
             values = np.full(high * wide, np.nan if self._fill is None else self._fill)
             values[cells] = columns["value"]
@@ -249,7 +249,7 @@ class Grids:
         self.columns = video.columns or numeric
         if not self.columns:
             raise NotFound(f"output {source.output.name!r} has no numeric column beside {source.time!r}")
-        expressions = {f"c{place}": f"{identifier(name)}::DOUBLE" for place, name in enumerate(self.columns)}
+        expressions = {f"c{index}": f"{identifier(name)}::DOUBLE" for index, name in enumerate(self.columns)}
         self.rows = [Rows(source, run, expressions) for run in runs]
         high = next((int(rows.counts[0]) for rows in self.rows if len(rows.counts)), 0)
         for rows in self.rows:

@@ -140,22 +140,22 @@ class TopicTable:
 
     def __init__(self, known: Mapping[Channel, int], keys: Keys) -> None:
         """Choose the channels. Raises UnreadableError if a topic is missing, or if topics have different columns."""
-        patterns = [Pattern(one) for one in keys.topics]
+        patterns = [Pattern(topic) for topic in keys.topics]
         self.names = patterns[0].names
         self.channels: dict[Channel, tuple[str, ...]] = {}
         """The channels with the parts of their topics that are columns."""
         for pattern in patterns:
-            found = {channel: parts for channel in known if (parts := pattern.of(channel.topic)) is not None}
-            if not found:
+            matching = {channel: parts for channel in known if (parts := pattern.of(channel.topic)) is not None}
+            if not matching:
                 topics = sorted({channel.topic for channel in known})
                 has = few(topics, NAMED) if topics else "no topic"
                 raise UnreadableError(f"has no topic {pattern.text!r}; it has {has}")
-            self.channels = found | self.channels
+            self.channels = matching | self.channels
         types = MessageTypes(keys.ros, dict(keys.messages))
         self._types = {channel: types.of(channel) for channel in self.channels}
         self._check_alike()
         first = next(iter(self._types.values()))
-        self.fields = tuple(one for one in first.fields if keys.covariances or not _is_covariance(one.name))
+        self.fields = tuple(topic for topic in first.fields if keys.covariances or not _is_covariance(topic.name))
         self._places = _places(first)
 
     def _check_alike(self) -> None:
@@ -199,8 +199,8 @@ class TopicTable:
 
         parts = list(zip(*((channel.topic, *self.channels[channel]) for channel, _ in heads), strict=True))
         own = [*parts, [received for _, received in heads]]
-        found = list(zip(*values, strict=True))
-        columns = [field.values(found[self._places[field.name]]) for field in self.fields]
+        attributes = list(zip(*values, strict=True))
+        columns = [field.values(attributes[self._places[field.name]]) for field in self.fields]
         try:
             arrays = [pa.array(values, field.type) for values, field in zip([*own, *columns], self.schema, strict=True)]
             return pa.record_batch(arrays, schema=self.schema)

@@ -56,9 +56,9 @@ def pictures(bag: Path, name: str, output: Output) -> list[Picture]:
         topic, *others = sorted({channel.topic for channel in table.channels})
         if others:
             raise UnreadableError(f"a video shows one topic, and topics names {topic}, {few(others, NAMED)}")
-        made: list[Picture] = []
+        written: list[Picture] = []
         for channel, received, data in content.scan(table.channels.__contains__):
-            what = f"picture {len(made)} of {topic!r}"
+            what = f"picture {len(written)} of {topic!r}"
             with damage(what):
                 kind = table.type_of(channel)
                 if kind.name not in WRITERS:
@@ -66,16 +66,16 @@ def pictures(bag: Path, name: str, output: Output) -> list[Picture]:
                 message: Any = kind.message(data)
                 stamp = message.header.stamp
                 time = received if output.time == RECEIVED else int(stamp.sec) * NS + int(stamp.nanosec)
-                path = WRITERS[kind.name](message, bag.with_name(f"{bag.stem}-{len(made)}"), what)
-                made.append(Picture(time, path, sha256(data)))
-        if len(made) != sum(index[channel] for channel in table.channels):
-            raise UnreadableError(f"has {len(made)} pictures of {topic!r}, but its index says another number")
-    made.sort()
-    for before, after in pairwise(made):
+                path = WRITERS[kind.name](message, bag.with_name(f"{bag.stem}-{len(written)}"), what)
+                written.append(Picture(time, path, sha256(data)))
+        if len(written) != sum(index[channel] for channel in table.channels):
+            raise UnreadableError(f"has {len(written)} pictures of {topic!r}, but its index says another number")
+    written.sort()
+    for before, after in pairwise(written):
         if before.time == after.time:
             cure = "" if output.time == RECEIVED else f'; set time = "{RECEIVED}" in the output'
             raise UnreadableError(f"has two pictures of {topic!r} with the same {output.time or STAMP}, {after.time}{cure}")
-    return made
+    return written
 
 
 def _raw(message: Any, path: Path, what: str) -> Path:
