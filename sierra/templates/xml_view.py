@@ -295,7 +295,7 @@ class View:
         """Check that no other text or reference belongs to the value of a node."""
         first, last = places[0].element, places[-1]
         after = next(iter(first), None) if last == Place(first, "text") else last.element.getnext()
-        if references := [one for one in (first, after) if one is not None and one.tag is etree.Entity]:
+        if references := [near for near in (first, after) if near is not None and near.tag is etree.Entity]:
             raise self.error(
                 change, f"has the reference {references[0].text} beside its text", "; write its text there instead"
             )
