@@ -62,9 +62,7 @@ def unbuilt(plan: Plan, store: Store | None) -> Iterator[str]:
         return
     with store.snapshot() as snapshot:
         past = snapshot.select(Before, BEFORE, tree=plan.source.tree)
-        recorded = {
-            program.name: program.sha256 for program in row_queries.programs(snapshot, [before.programs for before in past])
-        }
+        recorded = {row.name: row.sha256 for row in row_queries.programs(snapshot, [before.programs for before in past])}
     variables = plan.batch.spec.environment
     built = {name for name, digest in used.items() if recorded.get(name, digest) != digest}
     found_by_path = {name for name in used if referenced_files.is_in_library_folder(name, variables)}

@@ -196,31 +196,25 @@ class _Building:
         new = [name for name in names if name not in known]
         if len(new) < worth:
             return False
-        existing = marked(self._folder, new)
-        segments = [
-            segment for segment in existing if not segment.missing and (segment.after is None or segment.after in names)
-        ]
-        whole = [segment for segment in segments if _is_sound(segment)]
-        sure = known.keys() | {segment.name for segment in whole}
-        whole = [segment for segment in whole if segment.after is None or segment.after in sure]
+        files = [file for file in marked(self._folder, new) if not file.missing and (file.after is None or file.after in names)]
+        whole = [file for file in files if _is_sound(file)]
+        sure = known.keys() | {file.name for file in whole}
+        whole = [file for file in whole if file.after is None or file.after in sure]
         hidden = out_of_date(whole, set(names).difference(new))
-        replaced = {name for segment in whole if segment.name not in hidden for name in segment.replaces}
+        replaced = {name for file in whole if file.name not in hidden for name in file.replaces}
         ignored = hidden | replaced | {name for (name,) in self._fetch(f"SELECT name FROM {DATABASE}.replaced")}
-        sound = {segment.name for segment in whole}
-        added = [*whole, *(segment for segment in segments if segment.name in ignored - sound)]
+        sound = {file.name for file in whole}
+        added = [*whole, *(file for file in files if file.name in ignored - sound)]
         self._connection.execute("BEGIN")
         self._drop([known[name] for name in known.keys() & ignored])
         first = max(known.values(), default=0) + 1
-        numbers = {segment.name: first + number for number, segment in enumerate(added)}
+        numbers = {file.name: first + number for number, file in enumerate(added)}
         self._insert(
             "segments",
-            (
-                (numbers[segment.name], segment.name, segment.name in ignored, bool(segment.replaces), segment.after)
-                for segment in added
-            ),
+            ((numbers[file.name], file.name, file.name in ignored, bool(file.replaces), file.after) for file in added),
         )
         self._insert("replaced", ((name,) for name in sorted(replaced)))
-        self._add_rows([segment for segment in added if segment.name not in ignored], numbers)
+        self._add_rows([file for file in added if file.name not in ignored], numbers)
         self._connection.execute("COMMIT")
         self._store_results()
         self._store_answers()

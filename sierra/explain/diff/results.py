@@ -278,13 +278,11 @@ def _means(project: LoadedProject, store: Store, side: ComparedRuns, output: str
     }
 
 
+Means = Mapping[int, Mean]
+
+
 def _apart(
-    before: ComparedRuns,
-    pairs: Sequence[tuple[int, int]],
-    old: Mapping[int, Mean],
-    new: Mapping[int, Mean],
-    output: str,
-    column: str,
+    before: ComparedRuns, pairs: Sequence[tuple[int, int]], old: Means, new: Means, output: str, column: str
 ) -> Iterator[Difference]:
     both = [(was, old[was], new[now]) for was, now in pairs if was in old and now in new]
     other = [pair for pair in both if pair[1].mean != pair[2].mean]
