@@ -65,7 +65,7 @@ from sierra.containers.images.image import Image
 from sierra.deliverables.figures.base import FigureKind
 from sierra.deliverables.figures.base import Request as FigureRequest
 from sierra.deliverables.figures.drawing import Drawing
-from sierra.design.platforms.base import Following, Placing, Platform, Rendering, Renders
+from sierra.design.platforms.base import Following, Placing, Platform, Rendering, Renders, population_size
 from sierra.design.platforms.base import Reader as TemplateView
 from sierra.design.query.base import Range
 from sierra.design.query.ranges import values
@@ -236,5 +236,6 @@ __all__ = [
     "fill",
     "options",
     "pairs_of",
+    "population_size",
     "values",
 ]

@@ -11,7 +11,7 @@ from sierra.config.change_tables import ChangeTable
 from sierra.config.execution_tables import OwnLimits
 from sierra.config.field_types import Argv, Positive, Text, VariableName
 
-Side = Annotated[int, Field(ge=16, le=8192)]
+Pixels = Annotated[int, Field(ge=16, le=8192)]
 """The length of a side of a frame, in pixels."""
 
 
@@ -42,7 +42,7 @@ class Capture(OwnLimits):
     camera: str = Field(
         "", description="name of the camera, for platforms that render (`sierra schema` has their cameras); default: theirs"
     )
-    size: tuple[Side, Side] = Field((640, 480), description="width and height of frames, and of the display, in pixels")
+    size: tuple[Pixels, Pixels] = Field((640, 480), description="width and height of frames, and of the display, in pixels")
     interval: Positive | None = Field(
         None, description="simulated time between two frames in seconds, for platforms that render; default: theirs"
     )

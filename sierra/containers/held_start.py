@@ -3,7 +3,7 @@
 An engine takes some tenths of a second to start a container. Therefore a shell in the container first waits for a line from a
 named pipe in the run's folder, and then becomes the program: it keeps its process id, its environment and its open files. The
 worker on the host can open the pipe for writing when the shell waits, writes the line at the common start, and closes the pipe
-without a line if there is none (`sierra.worker.containers.Held`). An image without a shell starts its programs at once.
+without a line if there is none (`worker.containers.HeldContainer`). An image without a shell starts its programs at once.
 """
 
 from __future__ import annotations

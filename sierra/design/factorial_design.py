@@ -26,7 +26,7 @@ from sierra.config.change_tables import ChangeTable, Group, Variable
 from sierra.config.project_file import Project
 from sierra.design import overwritten
 from sierra.design.overwritten import Layer
-from sierra.design.platforms.base import Following, Platform, Reader
+from sierra.design.platforms.base import Following, Platform, Reader, Spanned
 from sierra.design.query import ranges
 from sierra.errors import ConfigError, QueryError
 from sierra.model import (
@@ -55,7 +55,6 @@ AT_MOST = 1_000_000
 """Maximum number of runs in a batch."""
 
 
-Spanned = tuple[Axis, tuple[Point, ...]]
 Placed = tuple[Axis, Point]
 
 
@@ -365,7 +364,7 @@ def _unknown(name: str, project: Project, platform: Platform) -> str:
     return f"unknown variable {name!r}; {hint} ([variables] in sierra.toml declares them)"
 
 
-def _grouped(criterion: Criterion, project: Project) -> tuple[Axis, tuple[Point, ...]]:
+def _grouped(criterion: Criterion, project: Project) -> Spanned:
     if not isinstance(criterion.scale, Listed):
         raise QueryError(f"the values of {criterion.name!r} must be names; use {criterion.name}=one,two")
     values = tuple(map(str, criterion.scale.values))

@@ -50,7 +50,7 @@ from sierra.store.row_types import (
     SpecRow,
 )
 from sierra.store.schema import RECORDED, STAMPED, columns_with
-from sierra.store.store import Found, Snapshot, Store
+from sierra.store.store import ResolvedId, Snapshot, Store
 from sierra.util.text import natural
 
 
@@ -259,7 +259,7 @@ GROUP BY ALL ORDER BY m.number
 """
 
 
-def _experiment(snapshot: Snapshot, found: Found) -> ShownExperiment:
+def _experiment(snapshot: Snapshot, found: ResolvedId) -> ShownExperiment:
     batch = required_row(BatchRow, snapshot, "SELECT * FROM batches WHERE batch = $b", b=str(found.batch))
     cells = ((ordinal, cell) for ordinal, cell in snapshot.cells(batch.batch).items() if cell["experiment"] == found.id)
     if (place := next(cells, None)) is None:
@@ -276,7 +276,7 @@ WHERE v.run = $r ORDER BY r.lamport, v.path
 """
 
 
-def _run(snapshot: Snapshot, found: Found) -> ShownRun:
+def _run(snapshot: Snapshot, found: ResolvedId) -> ShownRun:
     [row] = snapshot.rows("SELECT * FROM runs WHERE run = $r", r=found.id)
     files = recorded(snapshot, take(snapshot, found))
     spec = required_row(SpecRow, snapshot, "SELECT * FROM specs WHERE spec = $r", r=str(row["spec"]))

@@ -124,7 +124,7 @@ def _why(snapshot: Snapshot, row: Standing, latest: Latest) -> Reason:
     if (row.programs, row.ingest_rules) == latest[1:]:
         unobserved = "not observed, and files that other runs of its session used have changed"
         return Reason(ChangeReason.STALE, unobserved if row.unobserved else "files that it used have changed")
-    differences = [one.line for one in _differences(snapshot, row, latest)]
+    differences = [difference.line for difference in _differences(snapshot, row, latest)]
     return Reason(ChangeReason.STALE, few(differences, SHOWN) or "the differing programs or rules are not recorded")
 
 

@@ -238,8 +238,8 @@ def events(snapshot: Snapshot, batches: Sequence[str]) -> list[Event]:
     executed: dict[str, list[Executions]] = {}
     for row in rows:
         executed.setdefault(row.session, []).append(row)
-    found = snapshot.select(SessionRow, SESSIONS, b=list(batches), s=[*executed, *reevaluated])
-    sessions = {row.session: row for row in found}
+    recorded = snapshot.select(SessionRow, SESSIONS, b=list(batches), s=[*executed, *reevaluated])
+    sessions = {row.session: row for row in recorded}
     keys = list(dict.fromkeys((*sessions, *executed, *reevaluated)))
     replays = {row.replay: row for row in snapshot.select(Replay, REPLAYS, s=keys)}
     ended = {*sessions, *replays, *snapshot.values(str, CAPTURES, s=keys)}
@@ -277,7 +277,7 @@ def _event(
     ended: bool,
 ) -> Event:
     rules = other_rules(snapshot, reevaluated.was_rules, reevaluated.ingest_rules) if reevaluated else None
-    first = next(one for one in (submission, *rows, reevaluated) if one is not None)
+    first = next(part for part in (submission, *rows, reevaluated) if part is not None)
     purpose = rows[0].purpose if rows else "run"
     return Event(
         session=session,

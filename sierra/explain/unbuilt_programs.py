@@ -44,11 +44,11 @@ def unbuilt(plan: Plan, store: Store | None) -> Iterator[str]:
         return
     held = source.paths(plan.source.manifest)
     used = {
-        one.name: one.sha256
-        for one in plan.programs.all
-        if one.name.startswith(IN_PROJECT)
-        and os.fsencode(one.name.removeprefix(IN_PROJECT)) not in held
-        and is_compiled(one.path)
+        program.name: program.sha256
+        for program in plan.programs.all
+        if program.name.startswith(IN_PROJECT)
+        and os.fsencode(program.name.removeprefix(IN_PROJECT)) not in held
+        and is_compiled(program.path)
     }
     if not used:
         return
@@ -61,17 +61,17 @@ def unbuilt(plan: Plan, store: Store | None) -> Iterator[str]:
     if store is None:
         return
     with store.snapshot() as snapshot:
-        found = snapshot.select(Before, BEFORE, tree=plan.source.tree)
-        recorded = {one.name: one.sha256 for one in row_queries.programs(snapshot, [before.programs for before in found])}
+        past = snapshot.select(Before, BEFORE, tree=plan.source.tree)
+        recorded = {row.name: row.sha256 for row in row_queries.programs(snapshot, [before.programs for before in past])}
     variables = plan.batch.spec.environment
     built = {name for name, digest in used.items() if recorded.get(name, digest) != digest}
     found_by_path = {name for name in used if referenced_files.is_in_library_folder(name, variables)}
     left = used.keys() - found_by_path if built & found_by_path else used.keys()  # a build makes only what depends on an edit
     same = [name.removeprefix(IN_PROJECT) for name, digest in used.items() if name in left and recorded.get(name) == digest]
-    changed = list(_changed(found, plan.source.manifest, store)) if same else []
+    changed = list(_changed(past, plan.source.manifest, store)) if same else []
     if changed:
         yield (
-            f"{few(changed, SHOWN)} changed since batch {short(found[0].batch)}, but {few(same, SHOWN)} did not: "
+            f"{few(changed, SHOWN)} changed since batch {short(past[0].batch)}, but {few(same, SHOWN)} did not: "
             "build it, or declare [build], and SIERRA builds it whenever the source changes"
         )
 

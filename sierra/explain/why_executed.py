@@ -14,7 +14,7 @@ from sierra.explain.history import Event, events
 from sierra.explain.preview_repeat import NextRun, next_run
 from sierra.explain.why_new_runs import NewRuns
 from sierra.store.recorded_files import where
-from sierra.store.store import Found, Snapshot, Store
+from sierra.store.store import ResolvedId, Snapshot, Store
 from sierra.util.lazy_definitions import dataclass
 
 BATCHES = 10
@@ -38,7 +38,7 @@ ORDER BY coalesce(s.target, '') = coalesce(now.target, '') DESC,
 class Why:
     """Answer to `sierra why`."""
 
-    found: Found
+    found: ResolvedId
     runs: int
     history: tuple[Event, ...]
     """Events in order; for an execution, only the event of that execution."""
@@ -53,17 +53,17 @@ class Why:
 
 def why(project: LoadedProject, store: Store, prefix: str) -> Why:
     """Return the reasons why the runs of an id were executed or not. Raises NotFound."""
-    found = store.resolve(prefix)
+    resolved = store.resolve(prefix)
     with store.snapshot() as snapshot:
         snapshot.run("SET threads = 1")
-        batches = _runs(snapshot, found)
+        batches = _runs(snapshot, resolved)
         history = events(snapshot, batches)
-        if found.kind == "execution":
-            history = [event for event in history if event.session == _session(snapshot, found.id)]
+        if resolved.kind == "execution":
+            history = [event for event in history if event.session == _session(snapshot, resolved.id)]
         stands = tuple(standings(snapshot, batches))
         [(wanted,)] = snapshot.run("SELECT count(*) FROM wanted")
         these = {row[0] for row in snapshot.run("SELECT run FROM wanted")}
-        only = None if found.kind == "batch" else these
+        only = None if resolved.kind == "batch" else these
         firsts = dict.fromkeys(event.batch for event in history if any(cause.new for cause in event.causes))
         before = {batch: _before(snapshot, batch) for batch in list(firsts)[:BATCHES]}
     because = {
@@ -73,7 +73,7 @@ def why(project: LoadedProject, store: Store, prefix: str) -> Why:
         for batch, earlier in before.items()
     }
     return Why(
-        found,
+        resolved,
         wanted,
         tuple(history),
         because,
@@ -83,22 +83,22 @@ def why(project: LoadedProject, store: Store, prefix: str) -> Why:
     )
 
 
-def _runs(snapshot: Snapshot, found: Found) -> list[str]:
+def _runs(snapshot: Snapshot, resolved: ResolvedId) -> list[str]:
     """Create the table `wanted` of the runs of an id.
 
     Returns the batches that the answer covers, last used first.
     """
-    if found.kind == "batch":
+    if resolved.kind == "batch":
         snapshot.views.make(("batch_runs",))
-        snapshot.run("CREATE TEMP TABLE wanted AS SELECT DISTINCT run FROM batch_runs WHERE batch = $b", {"b": found.id})
-        return [found.id]
-    place = where(snapshot, found)
-    statement = f"CREATE TEMP TABLE wanted AS SELECT DISTINCT m.run FROM batch_runs m WHERE m.batch = $b {place.only}"  # noqa: S608
-    snapshot.run(statement, place.parameters)
+        snapshot.run("CREATE TEMP TABLE wanted AS SELECT DISTINCT run FROM batch_runs WHERE batch = $b", {"b": resolved.id})
+        return [resolved.id]
+    origin = where(snapshot, resolved)
+    statement = f"CREATE TEMP TABLE wanted AS SELECT DISTINCT m.run FROM batch_runs m WHERE m.batch = $b {origin.only}"  # noqa: S608
+    snapshot.run(statement, origin.parameters)
     [(run,), *_] = snapshot.run("SELECT run FROM wanted LIMIT 1")
     batches = [row[0] for row in snapshot.run(BATCHES_OF_RUN, {"r": run})]
-    if found.kind == "experiment":
-        having = {row[0] for row in snapshot.run("SELECT batch FROM experiments WHERE experiment = $x", {"x": found.id})}
+    if resolved.kind == "experiment":
+        having = {row[0] for row in snapshot.run("SELECT batch FROM experiments WHERE experiment = $x", {"x": resolved.id})}
         batches = [batch for batch in batches if batch in having]
     return batches[:BATCHES]
 

@@ -25,7 +25,7 @@ from sierra.ingest.json_lists import in_words
 from sierra.ingest.messages import shown
 from sierra.ingest.missing_values import MissingValues
 from sierra.ingest.model import PLAIN, Shape
-from sierra.ingest.rewriting import Rewriter, Source
+from sierra.ingest.rewriting import OriginalFile, Rewriter
 from sierra.ingest.shipped_reader_base import TableReader
 from sierra.ingest.text_headers import keys_of
 from sierra.store.connections import Database
@@ -68,14 +68,14 @@ class CsvAsFound(Rewriter):
         """True if each line is written again from its cells."""
         return self._aligned or self.shape.form.decimal == "," or bool(self.shape.form.na)
 
-    def rewrite(self, source: Source, target: BinaryIO) -> int:
+    def rewrite(self, source: OriginalFile, target: BinaryIO) -> int:
         lines = 0
         for _, text in self._written(source):
             target.write(text)
             lines += _size(text)
         return lines
 
-    def place(self, source: Source, line: int) -> str:
+    def place(self, source: OriginalFile, line: int) -> str:
         before = 0
         for number, text in self._written(source):
             if line <= before + _size(text):
@@ -83,7 +83,7 @@ class CsvAsFound(Rewriter):
             before += _size(text)
         return f"line {line}"
 
-    def _written(self, source: Source) -> Iterator[Line]:
+    def _written(self, source: OriginalFile) -> Iterator[Line]:
         """Yield the texts of the plain file, each with the number of the line that it comes from."""
         form, lines = self.shape.form, self._kept(source)
         head = list(islice(lines, form.header_lines)) if self.shape.header else []
@@ -106,7 +106,7 @@ class CsvAsFound(Rewriter):
         body = lines if head else _both(first, lines)
         yield from self._rows(body, delimiter) if self._remade else body
 
-    def _kept(self, source: Source) -> Iterator[Line]:
+    def _kept(self, source: OriginalFile) -> Iterator[Line]:
         """Yield the lines that are neither skipped nor comments; texts in quotes are never comments."""
         form, quoted, begun = self.shape.form, False, not self.shape.header
         comments = tuple(comment.encode() for comment in form.comments)
@@ -119,7 +119,7 @@ class CsvAsFound(Rewriter):
                 quoted ^= not self._aligned and text.count(b'"') % 2 == 1
                 yield number, text
 
-    def advice(self, source: Source) -> str:
+    def advice(self, source: OriginalFile) -> str:
         form = self.shape.form
         own = {"delimiter": self.shape.delimiter, "header": self.shape.header}
         now = {**own, "comment": form.comment, "skip": form.skip, "units_row": form.units_row}
@@ -132,7 +132,7 @@ class CsvAsFound(Rewriter):
         }
         return f" (set {in_words(keys)} in [outputs.{self.shape.name}])" if keys else ""
 
-    def count(self, source: Source, written: int) -> int:
+    def count(self, source: OriginalFile, written: int) -> int:
         form, content = self.shape.form, source.content().removeprefix(BOM)
         for _ in range(form.skip):
             content = content.partition(b"\n")[2]

@@ -20,7 +20,7 @@ from sierra.ingest.independent_row_count import count_filled
 from sierra.ingest.jsonl import Jsonl
 from sierra.ingest.missing_values import MissingValues
 from sierra.ingest.model import PLAIN, Shape
-from sierra.ingest.rewriting import Rewriter, Source
+from sierra.ingest.rewriting import OriginalFile, Rewriter
 from sierra.ingest.shipped_reader_base import TableReader
 from sierra.store.connections import Database
 
@@ -51,23 +51,23 @@ class JsonDocument(Rewriter):
         """True if nested objects become columns."""
         return self.shape.form.flatten is not False
 
-    def rewrite(self, source: Source, target: BinaryIO) -> int:
+    def rewrite(self, source: OriginalFile, target: BinaryIO) -> int:
         rows = 0
         for _, row in self._rows(source):
             target.write(json.dumps(row, separators=(",", ":")).encode() + b"\n")
             rows += 1
         return rows
 
-    def place(self, source: Source, line: int) -> str:
+    def place(self, source: OriginalFile, line: int) -> str:
         number = next((number for row, (number, _) in enumerate(self._rows(source), 1) if row == line), line)
         return f"{self.word} {number}"
 
-    def objects(self, source: Source) -> Objects:
+    def objects(self, source: OriginalFile) -> Objects:
         """Return the objects in the file. Raises UnreadableError."""
         document = _part(parsed(source.content()), self.shape.form.rows)
         return enumerate(_objects_of(document, columns=not self.shape.form.unnest), 1)
 
-    def count(self, source: Source, written: int) -> int:
+    def count(self, source: OriginalFile, written: int) -> int:
         return self.counted(source.content().decode("utf-8-sig"), _keys(self.shape.form.rows))
 
     def counted(self, text: str, keys: Sequence[str]) -> int:
@@ -99,7 +99,7 @@ class JsonDocument(Rewriter):
         except Exception as error:
             raise UnreadableError(f"a second parser does not read it: {error}") from error
 
-    def _rows(self, source: Source) -> Iterator[tuple[int, Object]]:
+    def _rows(self, source: OriginalFile) -> Iterator[tuple[int, Object]]:
         """Yield the rows, each with the number of its object."""
         nested = self._nested(source) if self._flat else frozenset()
         for number, one in self._split(source):
@@ -108,12 +108,12 @@ class JsonDocument(Rewriter):
                 row = {name: None if self._missing.has_value(value) else value for name, value in row.items()}
             yield number, row
 
-    def _nested(self, source: Source) -> frozenset[str]:
+    def _nested(self, source: OriginalFile) -> frozenset[str]:
         """Return the names of the objects that became columns. Where such an object is null, it is no column itself."""
         names = {name for _, row in self._split(source) for name in row if DOT in name}
         return frozenset(name[:place] for name in names for place, character in enumerate(name) if character == DOT)
 
-    def _split(self, source: Source) -> Iterator[tuple[int, Object]]:
+    def _split(self, source: OriginalFile) -> Iterator[tuple[int, Object]]:
         """Yield the rows of each object, with the object's number: several if its list is unnested."""
         for number, one in self.objects(source):
             try:
@@ -132,7 +132,7 @@ class JsonLines(JsonDocument):
     def _flat(self) -> bool:
         return bool(self.shape.form.flatten)
 
-    def objects(self, source: Source) -> Objects:
+    def objects(self, source: OriginalFile) -> Objects:
         for number, line in enumerate(source.lines(), 1):
             if line.strip():
                 try:
@@ -141,7 +141,7 @@ class JsonLines(JsonDocument):
                     raise UnreadableError(f"line {number}: {error}") from error
                 yield number, one
 
-    def count(self, source: Source, written: int) -> int:
+    def count(self, source: OriginalFile, written: int) -> int:
         content = source.content()
         if not self.shape.form.unnest:
             return count_filled(content)

@@ -19,7 +19,7 @@ from sierra.ingest.csv_as_found import BOM, CsvAsFound, Line, csv_line
 from sierra.ingest.delimiters import reads_as_number
 from sierra.ingest.messages import shown
 from sierra.ingest.model import PLAIN, Shape
-from sierra.ingest.rewriting import PIECE, Source
+from sierra.ingest.rewriting import PIECE, OriginalFile
 from sierra.util.lazy_definitions import dataclass, field, regex
 from sierra.util.text import counted, one_line, verb
 
@@ -58,7 +58,7 @@ class MatchingLines(CsvAsFound):
     def plain(self) -> Shape:
         return replace(self.shape, form=PLAIN, delimiter=",")
 
-    def _written(self, source: Source) -> Iterator[Line]:
+    def _written(self, source: OriginalFile) -> Iterator[Line]:
         """Yield the lines of the CSV; the last one has a line feed only if the file ends with one."""
         line = 1, csv_line(line_patterns.columns(self.shape.form.lines))
         for following in self._rows_of(source):
@@ -67,7 +67,7 @@ class MatchingLines(CsvAsFound):
         ended = source.file.ended or source.compressed
         yield line if ended else (source.file.lines + 1, line[1].removesuffix(b"\n"))
 
-    def _rows_of(self, source: Source) -> Iterator[Line]:
+    def _rows_of(self, source: OriginalFile) -> Iterator[Line]:
         changes = self._remade
         for first, lines in _blocks(source):
             matches = list(_matches(lines, self.shape.form.lines))
@@ -85,7 +85,7 @@ class MatchingLines(CsvAsFound):
         )
         return None if place is None else int(place)
 
-    def count(self, source: Source, written: int) -> int:
+    def count(self, source: OriginalFile, written: int) -> int:
         content, at, matching = source.content().removeprefix(BOM), 0, 0
         while at < len(content):
             end = content.find(b"\n", at + BLOCK) + 1 or len(content)
@@ -94,7 +94,7 @@ class MatchingLines(CsvAsFound):
             matching, at = matching + int(number), end
         return matching + 1
 
-    def advice(self, source: Source) -> str:
+    def advice(self, source: OriginalFile) -> str:
         return ""
 
 
@@ -107,7 +107,7 @@ class UnmatchedLines:
     files: dict[str, None] = field(default_factory=dict)
     example: str = ""
 
-    def add(self, run: str, source: Source, patterns: Iterable[str]) -> None:
+    def add(self, run: str, source: OriginalFile, patterns: Iterable[str]) -> None:
         """Count the lines of a file that no pattern matches."""
         for _, lines in _blocks(source):
             others = [line for line, matches in zip(lines, _any(lines, patterns), strict=True) if line.strip() and not matches]
@@ -124,7 +124,7 @@ class UnmatchedLines:
             yield f"{of} {verb(self.lines, 'is', 'are')} in no table, because no lines of [outputs] match: {self.example!r}"
 
 
-def _blocks(source: Source) -> Iterator[tuple[int, Sequence[bytes]]]:
+def _blocks(source: OriginalFile) -> Iterator[tuple[int, Sequence[bytes]]]:
     """Yield some lines at a time, without their ends, with the number of the first one."""
     first, size, lines = 1, 0, list[bytes]()
     for number, line in enumerate(source.lines(), 1):

@@ -17,7 +17,7 @@ from sierra.ingest.messages import shown
 from sierra.ingest.model import Reading, Shape, Written
 from sierra.ingest.read import read
 from sierra.ingest.recording_context import Context
-from sierra.ingest.rewriting import Source
+from sierra.ingest.rewriting import OriginalFile
 from sierra.ingest.success import Judgement
 from sierra.model import ACCEPTED, OutputFile, Result, Status
 from sierra.store.layout import RUN_OUTPUT
@@ -188,7 +188,7 @@ def tabled(
             return made
         for written, several in patterns.items():
             with contextlib.suppress(UnreadableError):  # the reader says so
-                assigning.unmatched.add(written.run, Source(written), several)
+                assigning.unmatched.add(written.run, OriginalFile(written), several)
         connection = connect()
         try:
             for name, found in files.items():

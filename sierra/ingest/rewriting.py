@@ -57,30 +57,30 @@ class Rewriter:
         """Return how to read the plain files."""
         return replace(self.shape, form=PLAIN)
 
-    def rewrite(self, source: Source, target: BinaryIO) -> int:
+    def rewrite(self, source: OriginalFile, target: BinaryIO) -> int:
         """Write the plain file; return the number of its rows, or of its lines, whatever `count` counts.
 
         Raises UnreadableError with one line if the file is cut short, damaged, or not understood.
         """
         raise NotImplementedError
 
-    def count(self, source: Source, written: int) -> int:
+    def count(self, source: OriginalFile, written: int) -> int:
         """Return what `rewrite` should have returned, counted in the original file by other means.
 
         `written` is what it has returned. Raises UnreadableError.
         """
         raise NotImplementedError
 
-    def advice(self, source: Source) -> str:
+    def advice(self, source: OriginalFile) -> str:
         """Return the keys that would read a file that cannot be read, in brackets; "" if none are known."""
         return ""
 
-    def place(self, source: Source, line: int) -> str:
+    def place(self, source: OriginalFile, line: int) -> str:
         """Return the words for the place in the original file that became this line of the plain file."""
         return f"line {line}"
 
 
-class Source:
+class OriginalFile:
     """The original file: its bytes, decompressed if its name says that it is compressed."""
 
     def __init__(self, file: Written) -> None:
@@ -159,7 +159,7 @@ class _Rewriting:
         self._rewriter = rewriter
         self._folder = folder
         self._faults: dict[str, str] = {}
-        self._sources: dict[tuple[str, str], Source] = {}
+        self._sources: dict[tuple[str, str], OriginalFile] = {}
 
     def read(self, connection: Database, files: Sequence[Written], target: Path, siblings: Siblings) -> Reading:
         made = [new for number, file in enumerate(files) if (new := self._rewritten(file, number)) is not None]
@@ -175,7 +175,7 @@ class _Rewriting:
 
     def _rewritten(self, file: Written, number: int) -> Written | None:
         """Return the plain file, or None if the file is at fault."""
-        path, source = self._folder / str(number), Source(file)
+        path, source = self._folder / str(number), OriginalFile(file)
         self._sources[file.execution, shown(file.name)] = source
         try:
             with path.open("wb") as stream:

@@ -15,7 +15,7 @@ from sierra.ingest.base import UnreadableError
 from sierra.ingest.independent_row_count import described
 from sierra.ingest.messages import shown
 from sierra.ingest.model import Shape, Written
-from sierra.ingest.rewriting import Source, is_compressed
+from sierra.ingest.rewriting import OriginalFile, is_compressed
 
 BOM = b"\xef\xbb\xbf"
 
@@ -36,7 +36,7 @@ def join(files: Sequence[Written], shape: Shape, target: Path) -> Written:
     whole, lines = bytearray(), 0
     head: Sequence[bytes] = ()
     for place, file in enumerate(files):
-        content = Source(file).content()
+        content = OriginalFile(file).content()
         content = content.removeprefix(BOM) if place else content
         if content and not content.endswith(b"\n") and place < len(files) - 1:
             raise UnreadableError(f"its part {shown(file.name)} does not end with a line feed")

@@ -13,7 +13,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 
 from sierra.ingest.base import UnreadableError
-from sierra.ingest.rewriting import Source
+from sierra.ingest.rewriting import OriginalFile
 
 ALLOWED = (sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ, sqlite3.SQLITE_FUNCTION, sqlite3.SQLITE_RECURSIVE)
 MAGIC, HEADER = b"SQLite format 3\0", 100
@@ -57,7 +57,7 @@ class _Limits:
 
 
 @contextmanager
-def opened(source: Source, *, whole: bool = True) -> Iterator[sqlite3.Connection]:
+def opened(source: OriginalFile, *, whole: bool = True) -> Iterator[sqlite3.Connection]:
     """Open a database for reading. Raises UnreadableError for all errors of SQLite.
 
     `whole`: first check that no part of it is missing.

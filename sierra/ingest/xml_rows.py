@@ -25,7 +25,7 @@ from sierra.ingest.base import UnreadableError
 from sierra.ingest.csv import Csv
 from sierra.ingest.missing_values import MissingValues
 from sierra.ingest.model import PLAIN, Part, Shape, Written
-from sierra.ingest.rewriting import Rewriter, Source
+from sierra.ingest.rewriting import OriginalFile, Rewriter
 from sierra.ingest.shipped_reader_base import TableReader
 from sierra.store.connections import Database
 from sierra.util.lazy_definitions import dataclass, field, regex, replace
@@ -65,18 +65,18 @@ class XmlRows(Rewriter):
     def plain(self) -> Shape:
         return replace(self.shape, format="csv", form=PLAIN, delimiter=",", header=True, names=())
 
-    def rewrite(self, source: Source, target: BinaryIO) -> int:
+    def rewrite(self, source: OriginalFile, target: BinaryIO) -> int:
         names = dict.fromkeys(name for _, row in self._rows(source) for name in row)
         order = self._orders.setdefault(frozenset(names), list(names))
         return sum(target.write(text) > 0 for text in _texts(order, self._rows(source)) if order) - bool(order)
 
-    def count(self, source: Source, written: int) -> int:
+    def count(self, source: OriginalFile, written: int) -> int:
         counted, around, empty = count_tags(source.content(), self._path)
         self._around |= around
         self._empty += empty
         return counted
 
-    def place(self, source: Source, line: int) -> str:
+    def place(self, source: OriginalFile, line: int) -> str:
         before = 1
         for number, row in self._rows(source):
             before += 1 + sum(value.count("\n") for value in row.values())
@@ -84,7 +84,7 @@ class XmlRows(Rewriter):
                 return f"line {number}"
         return f"line {line}"
 
-    def _rows(self, source: Source) -> Iterator[tuple[int, Row]]:
+    def _rows(self, source: OriginalFile) -> Iterator[tuple[int, Row]]:
         found = elements(source, Elements(self._path))
         if not self._missing:
             return found
@@ -180,7 +180,7 @@ class Handler(Protocol):
         ...
 
 
-def elements(source: Source, found: Elements) -> Iterator[tuple[int, Row]]:
+def elements(source: OriginalFile, found: Elements) -> Iterator[tuple[int, Row]]:
     """Yield the rows of an XML file, each with the number of its line. Raises UnreadableError."""
     for _ in parse(source.pieces(), found):
         yield from found.rows

@@ -12,7 +12,7 @@ from sierra.model import Run, Value
 from sierra.replay.options import ReplayOptions
 from sierra.store.recorded_files import ChosenExecution, take, where
 from sierra.store.sql_names import stored_names
-from sierra.store.store import Found, Snapshot, Store
+from sierra.store.store import ResolvedId, Snapshot, Store
 from sierra.store.table_layout import TableLayout
 from sierra.templates.base import Files
 from sierra.util.hashing import short
@@ -24,7 +24,7 @@ from sierra.util.text import counted
 class Record:
     """Recorded data of the runs to replay."""
 
-    found: Found
+    found: ResolvedId
     of: Recalled
     runs: list[ChosenExecution]
     named: int
@@ -64,7 +64,7 @@ WROTE = "SELECT DISTINCT execution FROM all_artifacts SEMI JOIN taken USING (exe
 """SQL: the executions that left files or tables."""
 
 
-def find(store: Store, subject: Found, options: ReplayOptions) -> Record:
+def find(store: Store, subject: ResolvedId, options: ReplayOptions) -> Record:
     """Return the recorded data of the runs to replay. Raises NotFound, Missing if there is nothing to compare with."""
     with store.snapshot() as snapshot:
         named = take(snapshot, subject)
@@ -111,7 +111,7 @@ def find(store: Store, subject: Found, options: ReplayOptions) -> Record:
     return record
 
 
-def _repeatable(snapshot: Snapshot, found: Found, named: Sequence[ChosenExecution]) -> list[ChosenExecution]:
+def _repeatable(snapshot: Snapshot, found: ResolvedId, named: Sequence[ChosenExecution]) -> list[ChosenExecution]:
     """Return the executions to repeat: those that count, programs that ended with an error, and the one that is named."""
     if all(one.which == "counts" for one in named):
         return list(named)

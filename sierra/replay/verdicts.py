@@ -16,7 +16,7 @@ from sierra.replay.same_files import UsedFiles
 from sierra.stats.equivalence import Tested
 from sierra.store.recorded_files import ChosenExecution
 from sierra.store.row_types import EquivalenceRow, VerdictRow
-from sierra.store.store import Found
+from sierra.store.store import ResolvedId
 from sierra.util.hashing import short
 from sierra.util.lazy_definitions import dataclass
 
@@ -63,7 +63,7 @@ class Replay:
     """Result of a replay."""
 
     id: str
-    found: Found
+    found: ResolvedId
     experiments: tuple[OfExperiment, ...]
     notes: tuple[str, ...]
     """Deviations from the record that were found before the comparison, and other notes."""

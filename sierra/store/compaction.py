@@ -61,17 +61,17 @@ LINES = 65_536
 
 def groups(segments: Iterable[Segment]) -> list[Group]:
     """Group the segments that can be merged: segments of one batch whose columns agree."""
-    found: list[tuple[str, dict[str, pa.Schema], list[Segment]]] = []
+    grouped: list[tuple[str, dict[str, pa.Schema], list[Segment]]] = []
     for segment in segments:
         schemas = {name: _written(name, path) for name, path in segment.files.items()}
-        for batch, theirs, members in found:
+        for batch, theirs, members in grouped:
             if batch == segment.batch and all(theirs.get(name, schema).equals(schema) for name, schema in schemas.items()):
                 theirs.update(schemas)
                 members.append(segment)
                 break
         else:
-            found.append((segment.batch, schemas, [segment]))
-    return [tuple(members) for _, _, members in found]
+            grouped.append((segment.batch, schemas, [segment]))
+    return [tuple(members) for _, _, members in grouped]
 
 
 def touched(snapshot: Snapshot, segments: Iterable[Segment], drop: Drop) -> list[Segment]:
@@ -353,12 +353,12 @@ def out_of_use(paths: StorePaths) -> list[Segment]:
 
     Call it only while no compaction is being published: within `sierra.execution.sessions.exclusively`.
     """
-    found = list(on_disk(paths.segments))
-    hidden = out_of_date(found)
-    waited_for = {segment.after for segment in found if segment.name not in hidden}
+    unused = list(on_disk(paths.segments))
+    hidden = out_of_date(unused)
+    waited_for = {segment.after for segment in unused if segment.name not in hidden}
     return [
         segment
-        for segment in found
+        for segment in unused
         if segment.name in hidden
         or (segment.replaces and not segment.files and segment.after is None and segment.name not in waited_for)
     ]

@@ -54,8 +54,8 @@ def _output(connection: DuckDBPyConnection, snapshot: Snapshot, writer: Writer, 
     for (path,) in sorted(holding, key=lambda row: (not is_first_part(row[0]), row[0])):
         alike.setdefault(str(pq.read_schema(path).remove_metadata()), []).append(path)
     written = 0
-    for place, files in enumerate(alike.values(), 1):
-        target = writer.path(OUTPUT + called[files[0]] + (f"~{place}" if place > 1 else ""))
+    for index, files in enumerate(alike.values(), 1):
+        target = writer.path(OUTPUT + called[files[0]] + (f"~{index}" if index > 1 else ""))
         connection.execute(copy(ROWS.format(files=read_parquet(files)), target, called[files[0]]))
         written += pq.read_metadata(target).num_rows
     return written

@@ -42,7 +42,7 @@ NAN = 0x7FF8000000000000
 def data_hash(table: pa.Table) -> str:
     """Return the hash of a table's columns, types and rows as 64 hexadecimal digits; the order of the rows does not count."""
 
-    columns = [_Column(table.column(place).combine_chunks()) for place in range(table.num_columns)]
+    columns = [_Column(table.column(index).combine_chunks()) for index in range(table.num_columns)]
     names = [[field.name, column.type] for field, column in zip(table.schema, columns, strict=True)]
     digest = hashlib.sha256(VERSION)
     digest.update(json.dumps(names, ensure_ascii=False, separators=(",", ":")).encode())

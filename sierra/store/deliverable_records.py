@@ -24,14 +24,14 @@ def deliverable_id(row: DeliverableRow) -> str:
     return digest("deliverable", {name: getattr(row, name) for name in IDENTIFYING})
 
 
-class Source(Protocol):
+class Queryable(Protocol):
     """The store, or one state of it."""
 
     def select(self, kind: type[R], text: str, **parameters: object) -> list[R]:
         """Return the rows of one statement as instances of a row class."""
 
 
-def rows(store: Source, text: str, **parameters: object) -> list[DeliverableRow]:
+def rows(store: Queryable, text: str, **parameters: object) -> list[DeliverableRow]:
     """Return the records that a statement selects. Raises Damaged for one whose files and hashes do not belong together."""
     found = store.select(DeliverableRow, text, **parameters)
     for row in found:
@@ -40,17 +40,17 @@ def rows(store: Source, text: str, **parameters: object) -> list[DeliverableRow]
     return found
 
 
-def latest(store: Source, batch: str) -> list[DeliverableRow]:
+def latest(store: Queryable, batch: str) -> list[DeliverableRow]:
     """Return the last record of each file of the deliverables that show a batch, sorted by kind and name, from the last one on.
 
     A deliverable can have several records if it was made in several formats. Each has only the files that no later one has.
     Raises Damaged, as `rows` does.
     """
     taken: set[str] = set()
-    found = []
+    newest = []
     for row in rows(store, f"SELECT * {LATEST}", b=batch):
         own = [(file, sha256) for file, sha256 in zip(row.files, row.sha256s, strict=True) if file not in taken]
         taken.update(row.files)
         if own:
-            found.append(row._replace(files=[file for file, _ in own], sha256s=[sha256 for _, sha256 in own]))
-    return found
+            newest.append(row._replace(files=[file for file, _ in own], sha256s=[sha256 for _, sha256 in own]))
+    return newest

@@ -86,7 +86,7 @@ class Rules:
 
 
 @dataclass(frozen=True, slots=True)
-class Made:
+class BuiltTable:
     """A derived table that was made."""
 
     columns: Mapping[str, str]
@@ -114,7 +114,7 @@ class DerivedTables:
         self.settings: tuple[str, ...] = ()
         """Statements that set up the connection again after a statement had limits of its own."""
         self._known: dict[str, Definition] | None = None
-        self._made: dict[str, Made | SierraError] = {}
+        self._made: dict[str, BuiltTable | SierraError] = {}
         self._making: list[Definition] = []
         self._listed: list[str] = []
 
@@ -175,7 +175,7 @@ class DerivedTables:
                 notes.append(str(error))
         return notes
 
-    def make(self, name: str) -> Made:
+    def make(self, name: str) -> BuiltTable:
         """Make a table and those that it needs. Raises SierraError; the error names the table that cannot be made."""
         name = name.lower()
         if name not in self._made:
@@ -183,12 +183,12 @@ class DerivedTables:
                 self._made[name] = self._make(self.definitions[name])
             except SierraError as error:
                 self._made[name] = error
-        found = self._made[name]
-        if isinstance(found, SierraError):
-            raise found
-        return found
+        table = self._made[name]
+        if isinstance(table, SierraError):
+            raise table
+        return table
 
-    def _make(self, definition: Definition) -> Made:
+    def _make(self, definition: Definition) -> BuiltTable:
         ordered = self._prepare(definition, self.make)
         if definition.name.lower() in self._listed:
             self._connection().execute(f"DROP VIEW temp.{identifier(definition.name)}")
@@ -200,7 +200,7 @@ class DerivedTables:
             connection.execute(f"CREATE TEMP TABLE {table} AS {rows}")
         described = self._connection().execute(f"DESCRIBE {table}").fetchall()
         count = self._connection().execute(f"SELECT count(*) FROM {table}").fetchall()[0][0]
-        return Made({row[0]: row[1] for row in described}, count, ordered)
+        return BuiltTable({row[0]: row[1] for row in described}, count, ordered)
 
     @contextlib.contextmanager
     def limited(self, origin: str) -> Iterator[DuckDBPyConnection]:
@@ -224,32 +224,32 @@ class DerivedTables:
     def _prepare(self, definition: Definition, make: Callable[[str], object]) -> bool:
         """Check a definition and make what it needs; return whether its statement orders the rows. Raises SierraError."""
         if definition in self._making:
-            names = [one.name for one in (*self._making[self._making.index(definition) :], definition)]
+            names = [waiting.name for waiting in (*self._making[self._making.index(definition) :], definition)]
             raise SqlError(f"{definition.origin}: {' → '.join(names)}: a table cannot be made from itself")
         self._making.append(definition)
         try:
-            found = self._checked(definition)
-            for other in found.tables:
+            used = self._checked(definition)
+            for other in used.tables:
                 if other in self.definitions:
                     make(other)
-            self._views.make(found.tables)
+            self._views.make(used.tables)
         finally:
             self._making.pop()
-        return found.ordered
+        return used.ordered
 
     def _checked(self, definition: Definition) -> statement.Used:
         """Return what a table's statement uses, after checking that it may. Raises SqlError."""
         if problem := definition.problem or self._taken(definition):
             raise SqlError(f"{definition.origin}: {problem}")
         try:
-            found = self._used(definition.sql)
-            statement.check_repeatable(self._connection(), found)
+            used = self._used(definition.sql)
+            statement.check_repeatable(self._connection(), used)
         except SqlError as error:
             raise SqlError(f"{definition.origin}: {error}") from error
-        if found.schemas:
-            raise SqlError(f"{definition.origin}: write {found.schemas[0]!r} without a schema")
+        if used.schemas:
+            raise SqlError(f"{definition.origin}: write {used.schemas[0]!r} without a schema")
         known = [*self._outputs, *self.definitions, *TABLE_NAMES]
-        for name, spelled in found.tables.items():
+        for name, spelled in used.tables.items():
             if name not in known:
                 names = [
                     *self._outputs.values(),
@@ -257,7 +257,7 @@ class DerivedTables:
                     *sorted(TABLE_NAMES),
                 ]
                 raise SqlError(f"{definition.origin}: there is no table {spelled!r}; {like(spelled, names, 'tables are')}")
-        return found
+        return used
 
     def _taken(self, definition: Definition) -> str:
         """Return a complaint if the name of a table has another meaning."""

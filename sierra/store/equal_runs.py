@@ -164,7 +164,7 @@ def _equal_runs(frame: Frame, files: Collection[_File], volatile: Columns) -> di
     equal: dict[_Run, tuple[str, ...]] | None = None
     for output in (*plain, *others):
         shared = _shared(frame, output, None if output in plain else volatile.get(output, ()))
-        contents = {one._replace(content=""): one.content for one in shared}
+        contents = {row._replace(content=""): row.content for row in shared}
         if equal is None:
             equal = {run: (content,) for run, content in contents.items()}
         else:
@@ -174,11 +174,11 @@ def _equal_runs(frame: Frame, files: Collection[_File], volatile: Columns) -> di
     groups: dict[tuple[int, tuple[str, ...]], list[str]] = {}
     for run, content in (equal or {}).items():
         groups.setdefault((run.experiment, content), []).append(run.run)
-    found: dict[int, list[tuple[str, ...]]] = {}
+    same: dict[int, list[tuple[str, ...]]] = {}
     for (experiment, _), runs in groups.items():
         if len(runs) > 1:
-            found.setdefault(experiment, []).append(tuple(runs))
-    return {experiment: tuple(sorted(some, key=len, reverse=True)) for experiment, some in sorted(found.items())}
+            same.setdefault(experiment, []).append(tuple(runs))
+    return {experiment: tuple(sorted(some, key=len, reverse=True)) for experiment, some in sorted(same.items())}
 
 
 def _is_plain(files: Collection[_File], output: str, volatile: Columns) -> bool:

@@ -70,11 +70,11 @@ def listing(store: Store, prefix: str, patterns: Sequence[str] = (), *, check: b
     Raises NotFound for a pattern that matches nothing. Without `check`, the list may be wrong if the store is damaged:
     it is for `content` and `extract`, which verify what they write.
     """
-    found = store.resolve(prefix)
+    resolved = store.resolve(prefix)
     with store.snapshot() as snapshot:
-        runs = take(snapshot, found)
+        runs = take(snapshot, resolved)
         files = recorded(snapshot, runs, check=check)
-    return Listing(found.kind, found.id, tuple(runs), tuple(_chosen(files, patterns)))
+    return Listing(resolved.kind, resolved.id, tuple(runs), tuple(_chosen(files, patterns)))
 
 
 def content(store: Store, file: Recorded, target: IO[bytes]) -> bool:
@@ -83,12 +83,12 @@ def content(store: Store, file: Recorded, target: IO[bytes]) -> bool:
     Raises Damaged if they differ from the record; `target` has some of them by then.
     """
     with store.snapshot() as snapshot:
-        one = next(contents(snapshot, [file]))
-        for piece in one.pieces:
+        file_content = next(contents(snapshot, [file]))
+        for piece in file_content.pieces:
             target.write(piece)
-        if not one.identical:
+        if not file_content.identical:
             check_objects(snapshot)
-        return bool(one.identical)
+        return bool(file_content.identical)
 
 
 def extract(store: Store, listed: Listing, folder: Path) -> Iterator[Outcome]:
@@ -107,16 +107,16 @@ def extract(store: Store, listed: Listing, folder: Path) -> Iterator[Outcome]:
     try:
         with store.snapshot() as snapshot:
             failed = doubtful = False
-            for one in contents(snapshot, listed.files):
-                path = target_path(one.file)
-                if one.file.is_dropped:
-                    yield Outcome(one.file, path, identical=False, failure=one.file.remark)
+            for file_content in contents(snapshot, listed.files):
+                path = target_path(file_content.file)
+                if file_content.file.is_dropped:
+                    yield Outcome(file_content.file, path, identical=False, failure=file_content.file.remark)
                     doubtful = True  # it may be another file in a damaged store
                     continue
                 failure = None
                 try:
                     with _Whole(root, path) as target:
-                        for piece in one.pieces:
+                        for piece in file_content.pieces:
                             target.write(piece)
                 except SierraError as error:
                     failure = str(error)
@@ -124,8 +124,8 @@ def extract(store: Store, listed: Listing, folder: Path) -> Iterator[Outcome]:
                     if error.errno in NO_ROOM:
                         raise Missing(f"{folder}: {error.strerror}; files that were already written stay") from error
                     failure = f"cannot be written: {error.strerror or error}"
-                yield Outcome(one.file, path, bool(one.identical), failure)
-                failed, doubtful = failed or failure is not None, doubtful or not one.identical
+                yield Outcome(file_content.file, path, bool(file_content.identical), failure)
+                failed, doubtful = failed or failure is not None, doubtful or not file_content.identical
             if doubtful and not failed:
                 check_objects(snapshot)
     finally:

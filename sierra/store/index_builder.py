@@ -112,14 +112,14 @@ def build(paths: StorePaths, worth: int = 1) -> Path | None:
             index_files.announce(f"building an index of {new} segments, so that commands need not look at each of them again")
         with (
             scratch(Path(tempfile.gettempdir()), index_files.PREFIX) as folder,
-            _Building(paths, folder / "index", best) as made,
+            _Building(paths, folder / "index", best) as building,
         ):
-            if not made.add(worth):
+            if not building.add(worth):
                 return None
-            path = index_files.publish(paths, len(made.names), made.finish())
-            if best is not None and not made.goes_on:
+            path = index_files.publish(paths, len(building.names), building.finish())
+            if best is not None and not building.goes_on:
                 index_files.remove(best.path)  # it may have rows of segments that are gone
-            if not made.names <= set(names_in(paths.segments)):  # without locks, somebody may have removed some meanwhile
+            if not building.names <= set(names_in(paths.segments)):  # without locks, somebody may have removed some meanwhile
                 index_files.remove(path)
                 return None
         for old in index_files.published(paths.index)[KEPT:]:
@@ -196,25 +196,25 @@ class _Building:
         new = [name for name in names if name not in known]
         if len(new) < worth:
             return False
-        found = [one for one in marked(self._folder, new) if not one.missing and (one.after is None or one.after in names)]
-        whole = [one for one in found if _is_sound(one)]
-        sure = known.keys() | {one.name for one in whole}
-        whole = [one for one in whole if one.after is None or one.after in sure]
+        files = [file for file in marked(self._folder, new) if not file.missing and (file.after is None or file.after in names)]
+        whole = [file for file in files if _is_sound(file)]
+        sure = known.keys() | {file.name for file in whole}
+        whole = [file for file in whole if file.after is None or file.after in sure]
         hidden = out_of_date(whole, set(names).difference(new))
-        replaced = {name for one in whole if one.name not in hidden for name in one.replaces}
+        replaced = {name for file in whole if file.name not in hidden for name in file.replaces}
         ignored = hidden | replaced | {name for (name,) in self._fetch(f"SELECT name FROM {DATABASE}.replaced")}
-        sound = {one.name for one in whole}
-        added = [*whole, *(one for one in found if one.name in ignored - sound)]
+        sound = {file.name for file in whole}
+        added = [*whole, *(file for file in files if file.name in ignored - sound)]
         self._connection.execute("BEGIN")
         self._drop([known[name] for name in known.keys() & ignored])
         first = max(known.values(), default=0) + 1
-        numbers = {one.name: first + place for place, one in enumerate(added)}
+        numbers = {file.name: first + number for number, file in enumerate(added)}
         self._insert(
             "segments",
-            ((numbers[one.name], one.name, one.name in ignored, bool(one.replaces), one.after) for one in added),
+            ((numbers[file.name], file.name, file.name in ignored, bool(file.replaces), file.after) for file in added),
         )
         self._insert("replaced", ((name,) for name in sorted(replaced)))
-        self._add_rows([one for one in added if one.name not in ignored], numbers)
+        self._add_rows([file for file in added if file.name not in ignored], numbers)
         self._connection.execute("COMMIT")
         self._store_results()
         self._store_answers()
@@ -251,12 +251,12 @@ class _Building:
         if new:
             source = read_parquet(new, union=True, filename=True, check=False)
             own = f"bool_and((split_part(filename, '/', -2), execution) IN (FROM ({index.judgements()})))"
-            found = self._fetch(
+            fetched = self._fetch(
                 f"SELECT filename, coalesce({question}, 0)::INTEGER FROM {source} GROUP BY filename HAVING {own}"
             )
-            known |= dict(found)
+            known |= dict(fetched)
             numbers = self._named()
-            rows = ((numbers[segment_of(file)], output, Path(file).name, question, value) for file, value in found)
+            rows = ((numbers[segment_of(file)], output, Path(file).name, question, value) for file, value in fetched)
             self._insert("answers", rows)
         return {file: known[file] for file in files if file in known}
 

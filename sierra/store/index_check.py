@@ -36,11 +36,11 @@ def different(index: IndexFile, segments: Mapping[str, Segment]) -> list[str]:
         facts = facts_of(index, fetch)
         current = {number: name for name, number in facts.numbers.items() if name not in facts.ignored}
         named = {number: segments[name] for number, name in current.items() if name in segments}
-        found = [table for table in RECORDED if _differs(connection, table, named)]
-        if len(named) == len(current) and not found:
+        tables = [table for table in RECORDED if _differs(connection, table, named)]
+        if len(named) == len(current) and not tables:
             listing = Listing([index.path.parent.parent / "segments"], segments=list(named.values()))
-            found = [*_other_results(connection, listing), *_other_outputs(fetch, Index(fetch, listing, facts), listing)]
-        return found
+            tables = [*_other_results(connection, listing), *_other_outputs(fetch, Index(fetch, listing, facts), listing)]
+        return tables
     except duckdb.Error:
         return list(RECORDED)
     finally:

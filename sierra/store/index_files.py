@@ -89,9 +89,9 @@ def best(paths: StorePaths) -> IndexFile | None:
         if held is not None and held.path == path and held.readable != str(path):
             return held
         with contextlib.suppress(OSError):
-            if (found := verified(path)) is not None:
-                _held[key] = found
-                return found
+            if (index := verified(path)) is not None:
+                _held[key] = index
+                return index
     return None
 
 
@@ -113,11 +113,11 @@ def verified(path: Path, *, anew: bool = False) -> IndexFile | None:
     if not sha256(content).startswith(digits):
         return None
     descriptor = os.memfd_create("sierra-index", os.MFD_CLOEXEC)
-    found = IndexFile(path, descriptor)
-    weakref.finalize(found, os.close, descriptor)
+    index = IndexFile(path, descriptor)
+    weakref.finalize(index, os.close, descriptor)
     with open(descriptor, "wb", closefd=False) as file:
         file.write(content)
-    return found
+    return index
 
 
 def segments_of(path: Path) -> int:

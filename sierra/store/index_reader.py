@@ -16,7 +16,7 @@ from sierra.store.listing import Facts, Listing
 from sierra.store.schema import RECORDED
 from sierra.store.sql_names import identifier, quote
 from sierra.store.sql_result import RawRow
-from sierra.store.union_files import Held
+from sierra.store.union_files import IndexedRows
 
 DATABASE = f"index_{os.urandom(8).hex()}"
 """The name of the index on a connection, which nobody else's statement can guess: they see its rows only through views."""
@@ -139,18 +139,18 @@ class Index:
         """Return the relation of current rows, each beside its segment s."""
         return f"{rows} JOIN {DATABASE}.segments s USING (seg){self._current}"
 
-    def experiments(self, batch: str | None = None) -> list[Held]:
+    def experiments(self, batch: str | None = None) -> list[IndexedRows]:
         """Return the indexed experiments, those with the same axes together; of one batch only, if one is named."""
         theirs = "" if batch is None else f" {'AND' if self._without else 'WHERE'} batch = {quote(batch)}"
-        found = []
+        indexed = []
         for number, columns in self._fetch(f"SELECT number, columns FROM {DATABASE}.experiment_sets ORDER BY number"):
             current = self._current_by(OWN)
             source = f"(SELECT * EXCLUDE {OWN} FROM {DATABASE}.{EXPERIMENTS}_{number}{current}{theirs})"
             of = f"{DATABASE}.{EXPERIMENTS}_{number} JOIN {DATABASE}.segments s ON s.seg = {OWN}{current}{theirs}"
             [(first,)] = self._fetch(f"SELECT min(s.name) FROM {of}")
             if first is not None:
-                found.append(Held(source, dict(json.loads(columns)), first))
-        return found
+                indexed.append(IndexedRows(source, dict(json.loads(columns)), first))
+        return indexed
 
     def spellings(self) -> Mapping[str, str]:
         """Return the indexed tables that runs wrote, each with the names of the first segment that has it and of the file."""

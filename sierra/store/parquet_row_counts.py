@@ -27,7 +27,7 @@ def rows_by_file(path: str | Path) -> Counter[Written]:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    found: Counter[Written] = Counter()
+    counts: Counter[Written] = Counter()
     try:
         with pq.ParquetFile(path, pre_buffer=False) as file:
             columns = ["execution", *(["file"] if "file" in file.schema_arrow.names else [])]
@@ -35,11 +35,11 @@ def rows_by_file(path: str | Path) -> Counter[Written]:
             for batch in file.iter_batches(columns=columns):
                 grouped = pa.Table.from_batches([batch]).group_by(columns, use_threads=False).aggregate([([], "count_all")])
                 for row in grouped.to_pylist():
-                    found[row["execution"], row.get("file")] += row["count_all"]
+                    counts[row["execution"], row.get("file")] += row["count_all"]
     except (OSError, ValueError, LookupError, MemoryError, pa.ArrowException) as error:
         check_shortage(error)
         raise Damaged(f"{path}: cannot be read: {first_line(error) if str(error) else 'out of memory'}") from error
-    return found
+    return counts
 
 
 def _check_size(described: pq.FileMetaData, columns: list[str]) -> None:

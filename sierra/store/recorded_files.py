@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from sierra.errors import Damaged
 from sierra.store.duckdb_messages import first_line
 from sierra.store.segments import Segment
-from sierra.store.store import Found, Snapshot
+from sierra.store.store import ResolvedId, Snapshot
 from sierra.store.verified_files import verify
 from sierra.store.view_sql import ORDER
 from sierra.store.views import KEPT_OBJECTS
@@ -88,7 +88,7 @@ class Recorded:
                 return ""
 
 
-def take(snapshot: Snapshot, found: Found) -> list[ChosenExecution]:
+def take(snapshot: Snapshot, found: ResolvedId) -> list[ChosenExecution]:
     """Return the runs that an id names, in order, each with its effective execution or else its last one.
 
     A run or an experiment that belongs to several batches is taken from the batch that was submitted last. Batches that were
@@ -119,20 +119,20 @@ class Place:
         return {name: value for name, value in every.items() if value is not None}
 
 
-def where(snapshot: Snapshot, found: Found) -> Place:
+def where(snapshot: Snapshot, resolved: ResolvedId) -> Place:
     """Return the position of an id. Of several batches, the last submitted one of those executed here is taken."""
     snapshot.views.make(
         ("batch_runs", "experiments", "batches", "executions", "all_judgements", "effective", "sessions", "origins")
     )
-    run = found.id if found.kind == "run" else None
-    if found.kind == "batch":
-        return Place(found.id)
-    if found.kind == "execution":
+    run = resolved.id if resolved.kind == "run" else None
+    if resolved.kind == "batch":
+        return Place(resolved.id)
+    if resolved.kind == "execution":
         snapshot.views.make(("reused_executions",))
-        [(run,)] = snapshot.run(RUN_OF_EXECUTION, {"e": found.id})
-    experiment = found.id if found.kind == "experiment" else None
+        [(run,)] = snapshot.run(RUN_OF_EXECUTION, {"e": resolved.id})
+    experiment = resolved.id if resolved.kind == "experiment" else None
     [(batch, ordinal), *_] = snapshot.run(LATEST, {"run": run, "experiment": experiment})
-    return Place(batch, ordinal, run, found.id if found.kind == "execution" else None)
+    return Place(batch, ordinal, run, resolved.id if resolved.kind == "execution" else None)
 
 
 RUN_OF_EXECUTION = """
@@ -179,10 +179,10 @@ def recorded(
     if not check:
         snapshot.views.unchecked.add("objects")
     snapshot.add_table(
-        "taken", place=range(len(runs)), run=(one.run for one in runs), execution=(one.judgement for one in runs)
+        "taken", place=range(len(runs)), run=(run.run for run in runs), execution=(run.judgement for run in runs)
     )
     snapshot.views.make(("batch_runs", "specs", "all_artifacts", KEPT_OBJECTS))
-    rows = [(place, nth, Recorded(runs[place], *rest)) for place, nth, *rest in snapshot.each(FILES, {"all": not inputs})]
+    rows = [(ordinal, nth, Recorded(runs[ordinal], *rest)) for ordinal, nth, *rest in snapshot.each(FILES, {"all": not inputs})]
     rows.sort(key=lambda row: (row[0], PARTS.get(row[2].kind, 1), row[1], natural(row[2].path)))
     return [file for _, _, file in rows]
 
@@ -216,10 +216,10 @@ def check_objects(snapshot: Snapshot) -> None:
     verify(segment.files["objects"] for segment in snapshot.segments if "objects" in segment.files)
 
 
-class Content:
+class FileContent:
     """One file's bytes; they can be read once, and only before the next file's."""
 
-    def __init__(self, file: Recorded, pieces: Callable[[Content], Iterator[bytes]]) -> None:
+    def __init__(self, file: Recorded, pieces: Callable[[FileContent], Iterator[bytes]]) -> None:
         self.file = file
         self.identical: bool | None = None
         """True if these are exactly the bytes that the run had; known when `pieces` ends."""
@@ -227,7 +227,7 @@ class Content:
         """The bytes in order. Raises Damaged if they differ from the record."""
 
 
-def contents(snapshot: Snapshot, files: Sequence[Recorded]) -> Iterator[Content]:
+def contents(snapshot: Snapshot, files: Sequence[Recorded]) -> Iterator[FileContent]:
     """Yield the contents of these files, each once, in the order of the store."""
     those = holding(snapshot, {file.taken.judgement for file in files if file.taken.judgement})
     yield from _objects(snapshot.holding({file.sha256 for file in files if file.sha256}), those, files)
@@ -239,7 +239,7 @@ def holding(snapshot: Snapshot, judgements: Iterable[str]) -> list[Segment]:
     return snapshot.recording("SELECT execution FROM asked")
 
 
-def _objects(segments: Sequence[Segment], holding: Sequence[Segment], files: Sequence[Recorded]) -> Iterator[Content]:
+def _objects(segments: Sequence[Segment], holding: Sequence[Segment], files: Sequence[Recorded]) -> Iterator[FileContent]:
     wanted: dict[str, list[Recorded]] = {}
     for file in files:
         wanted.setdefault(file.sha256 or "", []).append(file)
@@ -248,7 +248,7 @@ def _objects(segments: Sequence[Segment], holding: Sequence[Segment], files: Seq
     groups = _Groups([segment.files["objects"] for segment in ordered if "objects" in segment.files])
     for digest in sorted(wanted, key=groups.find(wanted)):
         for file in wanted[digest]:
-            yield Content(file, groups.pieces)
+            yield FileContent(file, groups.pieces)
 
 
 class _Groups:
@@ -285,7 +285,7 @@ class _Groups:
                     digests = self._open(place).read_row_group(group, columns=["sha256"]).column(0).to_pylist()
                     yield from ((digest, group, row) for row, digest in enumerate(digests) if digest in wanted)
 
-    def pieces(self, content: Content) -> Iterator[bytes]:
+    def pieces(self, content: FileContent) -> Iterator[bytes]:
         """Yield the bytes of one object. The whole object is verified by its hash before the first byte is yielded."""
         file = content.file
         if file.sha256 is None or file.is_dropped:
@@ -295,12 +295,12 @@ class _Groups:
             raise Damaged(f"not in the store, or not readable there (SHA-256 {file.sha256})")
         try:
             whole = [self._read(*parts[0])] if len(parts) == 1 else None
-            found = sha256()
+            digest = sha256()
             for piece in whole or (self._read(*part) for part in parts):
-                found.update(piece)
+                digest.update(piece)
         except UNREADABLE as error:
             raise Damaged(f"cannot be read from {self._paths[parts[0][0]]}: {first_line(error)}") from error
-        if found.hexdigest() != file.sha256:
+        if digest.hexdigest() != file.sha256:
             raise Damaged(f"its content in the store differs from the record (SHA-256 {file.sha256})")
         content.identical = file.bytes == file.kept
         yield from whole or (self._read(*part) for part in parts)

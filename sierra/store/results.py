@@ -23,15 +23,15 @@ Key = tuple[str, str, str | None]
 
 def rows_of(snapshot: Snapshot, executions: Iterable[str], outputs: Iterable[str]) -> dict[Key, pa.Table]:
     """Return the tables of these outputs and judgements with their rows in order."""
-    found: dict[Key, pa.Table] = {}
+    tables: dict[Key, pa.Table] = {}
     executions, outputs = sorted(set(executions)), set(outputs)
     segments = holding(snapshot, executions)
     snapshot.add_table("writers", execution=executions)
     for segment in segments:
         for output, path in segment.outputs():
             if output in outputs:
-                found |= {(execution, output, file): table for execution, file, table in _tables(snapshot, path)}
-    return found
+                tables |= {(execution, output, file): table for execution, file, table in _tables(snapshot, path)}
+    return tables
 
 
 def _tables(snapshot: Snapshot, path: str) -> Iterator[tuple[str, str | None, pa.Table]]:
@@ -54,10 +54,10 @@ def objects(snapshot: Snapshot, digests: Iterable[str]) -> dict[str, bytes]:
     once = "DISTINCT ON (sha256, part) sha256, content"  # two writers may have added the same file
     statement = f"SELECT {once} FROM {source} SEMI JOIN digests USING (sha256) ORDER BY sha256, part"
     parts = groupby(snapshot.each(statement, {}), lambda row: row[0])
-    found = {digest: b"".join(content for _, content in rows) for digest, rows in parts}
+    contents = {digest: b"".join(content for _, content in rows) for digest, rows in parts}
     for digest in digests:
-        if sha256(found.get(digest, b"")) != digest:
+        if sha256(contents.get(digest, b"")) != digest:
             raise Damaged(
-                f"the recorded file {digest} {'differs from the record' if digest in found else 'is not in the store'}"
+                f"the recorded file {digest} {'differs from the record' if digest in contents else 'is not in the store'}"
             )
-    return found
+    return contents

@@ -60,15 +60,15 @@ def same(times: Floats, steps: Floats) -> Iterator[tuple[float, float]]:
 
     limits = np.where(np.isnan(steps), ROUNDING * np.abs(times), PART * steps)
     near = np.diff(times) <= np.fmin(limits[:-1], limits[1:])
-    place = 0
+    next_index = 0
     for first in np.flatnonzero(near).tolist():
-        if first < place:
+        if first < next_index:
             continue
         last, limit = first, limits[first]
         while last < len(near) and near[last] and times[last + 1] - times[first] <= np.fmin(limit, limits[last + 1]):
             last += 1
             limit = np.fmin(limit, limits[last])
-        place = max(last, first + 1)
+        next_index = max(last, first + 1)
         group = times[first : last + 1].tolist()
         shown = min(group, key=lambda time: (len(repr(time)), time))
         yield from ((time, shown) for time in group if time != shown)

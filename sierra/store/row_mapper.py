@@ -43,10 +43,10 @@ def typed(kind: type[R], answer: Answer) -> list[R]:
     fields = _fields(kind)
     check_columns(kind.__name__, fields, answer)
     rows = answer.rows()
-    for place, (name, annotation) in enumerate(fields):
-        column = list(map(itemgetter(place), rows))
+    for index, (name, annotation) in enumerate(fields):
+        column = list(map(itemgetter(index), rows))
         lacks = not annotation.endswith(OPTIONAL) and None in column
-        if lacks or (annotation.startswith("list[") and any(one is not None and None in one for one in column)):
+        if lacks or (annotation.startswith("list[") and any(value is not None and None in value for value in column)):
             raise Damaged(f"the store cannot be read: a record has no {name!r}; sierra fsck checks the store")
     return list(map(kind._make, rows))
 

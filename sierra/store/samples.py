@@ -19,7 +19,7 @@ from sierra.errors import Damaged, Missing, NotFound, SierraError, SqlError, Usa
 from sierra.model import ACCEPTED, Axis, Value
 from sierra.store import captures, clock_times, robot_means, rounded_times
 from sierra.store.clock_times import TimeKind
-from sierra.store.derived_tables import Definition, Made
+from sierra.store.derived_tables import BuiltTable, Definition
 from sierra.store.duckdb_messages import explain
 from sierra.store.recorded_files import OUTPUT_FOLDER, ChosenExecution, Recorded, contents, recorded
 from sierra.store.row_mapper import R
@@ -440,7 +440,7 @@ class Frame:
             unordered=not made.ordered,
         )
 
-    def _derived(self, name: str) -> Made:
+    def _derived(self, name: str) -> BuiltTable:
         """Return a derived table after checking that its rows belong to runs of the batch. Raises SierraError."""
         made = self._snapshot.derived.make(name)
         origin = self._snapshot.derived.definitions[name.lower()].origin

@@ -301,13 +301,13 @@ def named(files: Mapping[str, str], tables: Mapping[str, str]) -> dict[str, str]
 
     Files of outputs whose table is unknown are left out.
     """
-    found = {}
+    paths = {}
     for name, path in files.items():
         if not name.startswith(OUTPUT):
-            found[name] = path
+            paths[name] = path
         elif (matched := NUMBERED.fullmatch(name)) and (table := tables.get(matched[1])):
-            found[f"{OUTPUT}{table}{matched[2]}"] = path
-    return found
+            paths[f"{OUTPUT}{table}{matched[2]}"] = path
+    return paths
 
 
 def _tables(lines: Iterable[str]) -> dict[str, str]:
@@ -444,9 +444,9 @@ def renew(paths: StorePaths) -> None:
     with paths.format.open("rb") as file:
         if file.read(len(FORMER) + 1) != FORMER.encode():
             return
-    place = next(place for place, (new, old) in enumerate(zip(FORMAT, FORMER, strict=True)) if new != old)
+    offset = next(offset for offset, (new, old) in enumerate(zip(FORMAT, FORMER, strict=True)) if new != old)
     with paths.format.open("r+b", buffering=0) as file:
-        os.pwrite(file.fileno(), FORMAT[place].encode(), place)
+        os.pwrite(file.fileno(), FORMAT[offset].encode(), offset)
         os.fsync(file.fileno())
 
 

@@ -69,11 +69,11 @@ class _File(logging.Handler):
         _trim(self._store)
         flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
         file = os.open(self._path, flags, 0o666)
-        found = os.fstat(file)
-        if not stat.S_ISREG(found.st_mode):
+        status = os.fstat(file)
+        if not stat.S_ISREG(status.st_mode):
             os.close(file)
             raise OSError(f"{self._path} is not a file")
-        self._file, self._size = file, found.st_size
+        self._file, self._size = file, status.st_size
 
     def close(self) -> None:
         if self._file is not None:

@@ -139,7 +139,7 @@ def _undefined(
     used = statement.used(first.connection, text)
     for name in used.tables:
         if not TELLING_NAN & {function for function, _ in used.calls}:
-            parts = [known[name]] if name in known else (_rows(one, name, limits, origin) for one in snapshots.values())
+            parts = [known[name]] if name in known else (_rows(state, name, limits, origin) for state in snapshots.values())
             yield from (f"{name}.{column}" for part in parts for column in _with_nan(part, text))
         if name not in TABLE_NAMES and name in first.derived.definitions:
             yield from _undefined(snapshots, first.derived.definitions[name].sql, {}, limits, origin)

@@ -102,14 +102,14 @@ class Answer:
 
         If all columns are simple, instants are microseconds since 1970: DuckDB needs a further library to convert them.
         """
-        columns = [f"#{place}" for place in range(1, len(self.types) + 1)]
+        columns = [f"#{index}" for index in range(1, len(self.types) + 1)]
         texts = []
-        for place in times:
-            kind, value = self.types[place], columns[place]
-            held = HELD.get(re.sub("_M?S$", "", kind), "false" if NEVER_HELD.search(kind) else NESTED_HELD).format(place + 1)
-            text = TEXTS.get(kind, "#{0}::VARCHAR").format(place + 1)
+        for index in times:
+            kind, value = self.types[index], columns[index]
+            held = HELD.get(re.sub("_M?S$", "", kind), "false" if NEVER_HELD.search(kind) else NESTED_HELD).format(index + 1)
+            text = TEXTS.get(kind, "#{0}::VARCHAR").format(index + 1)
             exact = f"epoch_us({value})" if simple and kind == INSTANT else value
-            columns[place] = f"CASE WHEN {held} THEN {exact} END"
+            columns[index] = f"CASE WHEN {held} THEN {exact} END"
             texts.append(f"CASE WHEN NOT ({held}) THEN {text} END")
         return self._relation.project(", ".join((*columns, *texts)))
 

@@ -55,16 +55,16 @@ def used(connection: DuckDBPyConnection, text: str) -> Used:
     statements = answer["statements"]
     if not isinstance(statements, list) or len(statements) != 1:
         raise SqlError(f"use one statement; this is {len(statements) if isinstance(statements, list) else 0}")
-    found = Used()
+    used_parts = Used()
     whole = statements[0]
     node = whole.get("node") if isinstance(whole, dict) else None
     modifiers = node.get("modifiers") if isinstance(node, dict) else None
-    found.ordered = any(
-        isinstance(one, dict) and one.get("type") == "ORDER_MODIFIER"
-        for one in (modifiers if isinstance(modifiers, list) else ())
+    used_parts.ordered = any(
+        isinstance(modifier, dict) and modifier.get("type") == "ORDER_MODIFIER"
+        for modifier in (modifiers if isinstance(modifiers, list) else ())
     )
-    _walk(node, frozenset(), found)
-    return found
+    _walk(node, frozenset(), used_parts)
+    return used_parts
 
 
 def kinds(connection: DuckDBPyConnection, text: str) -> list[str]:
@@ -129,9 +129,9 @@ def _json(connection: DuckDBPyConnection, function: str, text: str) -> Mapping[s
 
 def _problem(connection: DuckDBPyConnection, text: str, answer: Mapping[str, Json]) -> str:
     """Return why DuckDB cannot parse a statement, with the place; or that it is no SELECT statement."""
-    place = answer.get("position")
-    if isinstance(place, str) and place.isdecimal():
-        before = text[: int(place)]
+    position = answer.get("position")
+    if isinstance(position, str) and position.isdecimal():
+        before = text[: int(position)]
         line, column = before.count("\n") + 1, len(before) - (before.rfind("\n") + 1) + 1
         return f"{answer.get('error_message')} (line {line}, column {column})"
     if answer.get("error_type") == "not implemented":
@@ -142,22 +142,22 @@ def _problem(connection: DuckDBPyConnection, text: str, answer: Mapping[str, Jso
     return " ".join(str(answer.get("error_message")).split())
 
 
-def _walk(node: Json, defined: frozenset[str], found: Used) -> None:
+def _walk(node: Json, defined: frozenset[str], used_parts: Used) -> None:
     """Add what a part of the parsed statement uses. `defined`: the names that WITH defines around it."""
     if isinstance(node, list):
         for part in node:
-            _walk(part, defined, found)
+            _walk(part, defined, used_parts)
     if not isinstance(node, dict):
         return
     inside = defined
     for name, query in _definitions(node):
         own = inside | {name} if isinstance(query, dict) and query.get("type") == "RECURSIVE_CTE_NODE" else inside
-        _walk(query, own, found)
+        _walk(query, own, used_parts)
         inside = inside | {name}
-    _note(node, inside, found)
+    _note(node, inside, used_parts)
     for key, part in node.items():
         if key != "cte_map":
-            _walk(part, inside, found)
+            _walk(part, inside, used_parts)
 
 
 def _definitions(node: Mapping[str, Json]) -> Iterator[tuple[str, Json]]:
@@ -169,38 +169,38 @@ def _definitions(node: Mapping[str, Json]) -> Iterator[tuple[str, Json]]:
             yield str(entry.get("key")).lower(), value.get("query_node")
 
 
-def _note(node: Mapping[str, Json], defined: frozenset[str], found: Used) -> None:
+def _note(node: Mapping[str, Json], defined: frozenset[str], used_parts: Used) -> None:
     """Add what one part uses itself, without its own parts."""
     sample = node.get("sample")
     if isinstance(sample, dict) and not sample.get("repeatable"):
-        found.sampled = True
+        used_parts.sampled = True
     match node.get("type"):
         case "BASE_TABLE":
             name = str(node.get("table_name"))
             if node.get("schema_name") or node.get("catalog_name"):
-                found.schemas.append(".".join(map(str, filter(None, (node.get("schema_name"), name)))))
+                used_parts.schemas.append(".".join(map(str, filter(None, (node.get("schema_name"), name)))))
             elif name.lower() not in defined:
-                found.tables.setdefault(name.lower(), name)
+                used_parts.tables.setdefault(name.lower(), name)
         case "TABLE_FUNCTION" if isinstance(called := node.get("function"), dict):
-            found.table_functions.setdefault(_name(called))
+            used_parts.table_functions.setdefault(_name(called))
         case "FUNCTION":
             arguments = node.get("arguments", node.get("children"))
-            found.calls.add((_name(node), len(arguments) if isinstance(arguments, list) else 0))
+            used_parts.calls.add((_name(node), len(arguments) if isinstance(arguments, list) else 0))
         case "COLUMN_REF" if isinstance(names := node.get("column_names"), list) and len(names) == 1:
-            found.names.add(str(names[0]).lower())
+            used_parts.names.add(str(names[0]).lower())
 
 
 def _name(called: Mapping[str, Json]) -> str:
     return str(called.get("function_name")).lower()
 
 
-def _volatile(connection: DuckDBPyConnection, found: Used) -> str | None:
+def _volatile(connection: DuckDBPyConnection, used_parts: Used) -> str | None:
     """Return a function whose result differs between executions; None if there is none.
 
     DuckDB's catalogue says which functions these are. A macro is volatile if its definition is.
     """
     volatile, macros = _catalogue(connection)
-    queue = sorted(_all_calls(connection, found))
+    queue = sorted(_all_calls(connection, used_parts))
     seen = set(queue)
     while queue:
         name, arguments = queue.pop(0)

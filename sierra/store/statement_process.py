@@ -452,7 +452,7 @@ def _count(values: pa.Array) -> int:
     if isinstance(values, pa.StructArray):
         return len(values) + sum(map(_count, values.flatten()))
     if isinstance(values, pa.UnionArray):
-        return len(values) + sum(_count(values.field(place)) for place in range(values.type.num_fields))
+        return len(values) + sum(_count(values.field(index)) for index in range(values.type.num_fields))
     if isinstance(values, pa.MapArray):
         return len(values) + _count(values.keys) + _count(values.items)
     if isinstance(values, pa.ListArray | pa.LargeListArray | pa.FixedSizeListArray):

@@ -75,7 +75,7 @@ SELECT DISTINCT table_layout FROM all_artifacts WHERE kind = 'table' AND lower(o
 """
 
 
-class Found(NamedTuple):
+class ResolvedId(NamedTuple):
     """The meaning of an id; `kind` is batch, experiment, run, execution, study or claim."""
 
     kind: str
@@ -114,7 +114,7 @@ class Store:
         self._replays: tuple[str, ...] = ()
         try:
             with open_regular(self.paths.format) as file:
-                found = file.read(FORMAT_BYTES).decode("utf-8", "backslashreplace")
+                format_line = file.read(FORMAT_BYTES).decode("utf-8", "backslashreplace")
         except OSError as error:
             if (lack := shortage(error)) is not None:
                 raise Missing(f"{self.paths.format} cannot be read: {lack}") from error
@@ -122,10 +122,10 @@ class Store:
                 raise Missing(f"no store in {root}: nothing has been run here yet (sierra run creates one)") from error
             reason = error.strerror or error
             raise Damaged(f"{self.paths.format}: cannot be read: {reason}; sierra fsck --repair writes it again") from error
-        if found not in FORMATS:
-            problem = f"this is {found.strip()[:40]!r}, but this SIERRA reads {FORMAT.strip()!r}"
+        if format_line not in FORMATS:
+            problem = f"this is {format_line.strip()[:40]!r}, but this SIERRA reads {FORMAT.strip()!r}"
             other = f"read it with the SIERRA that made it, or move {root} away and run the command again"
-            remedy = other if re.fullmatch(r"sierra store \d+\n", found) else "sierra fsck --repair writes it again"
+            remedy = other if re.fullmatch(r"sierra store \d+\n", format_line) else "sierra fsck --repair writes it again"
             raise Damaged(f"{self.paths.format}: {problem}; {remedy}")
 
     @classmethod
@@ -202,10 +202,10 @@ class Store:
         with disk_errors(folder or Path(tempfile.gettempdir())):
             if folder is not None:
                 folder.mkdir(parents=True, exist_ok=True)
-            made = tempfile.TemporaryDirectory(prefix="sierra-beside-", dir=folder, ignore_cleanup_errors=True)
+            temporary = tempfile.TemporaryDirectory(prefix="sierra-beside-", dir=folder, ignore_cleanup_errors=True)
         shared = Shared(self.paths.reading)  # held until the end, so that nobody removes segments
         try:
-            with made as root:
+            with temporary as root:
                 other = Store.create(Path(root, "store"))
                 other.rules = self.rules
                 other._beneath = self.paths.segments
@@ -231,7 +231,7 @@ class Store:
         try:
             memory = self.memory if theirs else None
             usable = self._indexed and self._beneath is None and not self._replays
-            made = Snapshot(
+            snapshot = Snapshot(
                 *(self.paths.root, None, within, shared),
                 beneath=self._beneath,
                 rules=self.rules,
@@ -240,9 +240,9 @@ class Store:
                 indexed=usable,
                 fresh=theirs,
             )
-            self.opened(made)
-            made.set_up(self.settings)
-            return made
+            self.opened(snapshot)
+            snapshot.set_up(self.settings)
+            return snapshot
         except BaseException:
             shared.close()
             raise
@@ -272,19 +272,19 @@ class Store:
         with self.snapshot() as snapshot:
             return snapshot.views.outputs
 
-    def resolve(self, prefix: str) -> Found:
+    def resolve(self, prefix: str) -> ResolvedId:
         """Return the object whose id begins with `prefix` (at least 4 digits); for a study, the batch of its last look.
 
         Raises NotFound for none or several, and for a study without a look.
         """
-        found = self.identify(prefix)
-        if found.kind == "claim":
-            raise NotFound(f"claim {found.id[:10]} is only registered; sierra show {found.id[:10]} shows it")
-        if found.kind != "study":
-            return found
-        if found.batch is None:
-            raise NotFound(f"study {found.id[:10]} has no look yet; repeat its command to continue it")
-        return Found("batch", found.batch, found.batch)
+        resolved = self.identify(prefix)
+        if resolved.kind == "claim":
+            raise NotFound(f"claim {resolved.id[:10]} is only registered; sierra show {resolved.id[:10]} shows it")
+        if resolved.kind != "study":
+            return resolved
+        if resolved.batch is None:
+            raise NotFound(f"study {resolved.id[:10]} has no look yet; repeat its command to continue it")
+        return ResolvedId("batch", resolved.batch, resolved.batch)
 
     def batch_id(self, prefix: str) -> str:
         """Return the id of the batch that begins with `prefix`, as `resolve` does. Raises NotFound."""
@@ -293,14 +293,14 @@ class Store:
             raise NotFound(f"{prefix!r} is the id of another kind ({found.kind}); a batch is required here")
         return found.id
 
-    def identify(self, prefix: str) -> Found:
+    def identify(self, prefix: str) -> ResolvedId:
         """Return the object whose id begins with `prefix`, as `resolve` does, but a study as a study."""
         text = prefix.lower()
         if not PREFIX.fullmatch(text):
             raise NotFound(f"{prefix!r} is not an id: use 4 to 64 hexadecimal digits, as shown by `sierra ls`")
         with self.snapshot() as snapshot:
-            found = snapshot.select(
-                Found,
+            objects = snapshot.select(
+                ResolvedId,
                 "SELECT 'batch' AS kind, batch AS id, batch FROM batches WHERE starts_with(batch, $p) UNION "
                 "SELECT 'experiment', experiment, max(batch) FROM experiments WHERE starts_with(experiment, $p) GROUP BY ALL "
                 "UNION SELECT 'run', run, max(batch) FROM batch_runs WHERE starts_with(run, $p) GROUP BY ALL "
@@ -311,12 +311,12 @@ class Store:
                 "ORDER BY 1, 2 LIMIT 20",
                 p=text,
             )
-        if not found:
+        if not objects:
             raise NotFound(f"no batch, experiment, run, execution or study begins with {prefix!r}; sierra ls lists the batches")
-        if len(found) > 1:
-            shown = ", ".join(f"{one.id[:16]} ({one.kind})" for one in found[:6])
-            raise NotFound(f"{prefix!r} is ambiguous: {shown}{', …' if len(found) > 6 else ''}")
-        return found[0]
+        if len(objects) > 1:
+            shown = ", ".join(f"{match.id[:16]} ({match.kind})" for match in objects[:6])
+            raise NotFound(f"{prefix!r} is ambiguous: {shown}{', …' if len(objects) > 6 else ''}")
+        return objects[0]
 
     def object(self, digest: str) -> bytes:
         """Return the content of a recorded file by its SHA-256. Raises NotFound or Damaged."""

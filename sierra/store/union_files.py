@@ -45,7 +45,7 @@ Fetch = Callable[[str], list[RawRow]]
 """A function that executes a statement and returns its rows."""
 
 
-class Held(NamedTuple):
+class IndexedRows(NamedTuple):
     """Rows that are not in a file of their own: those of several segments in an index, with the same columns."""
 
     sql: str
@@ -56,7 +56,7 @@ class Held(NamedTuple):
     """The name of the first segment, for the position among files."""
 
 
-Source = str | Held
+RowSource = str | IndexedRows
 """The path of a file, or rows of an index."""
 Answers = Callable[[Sequence[str], str], Mapping[str, int]]
 """A function that returns, for some of these files, the value of an SQL expression over all of its rows; 0 without rows.
@@ -87,7 +87,7 @@ class Relation:
 
 def relation(
     fetch: Fetch,
-    files: Sequence[Source],
+    files: Sequence[RowSource],
     where: str = "true",
     *,
     rows: bool = False,
@@ -100,7 +100,7 @@ def relation(
     `answers` spares a look into some files. Raises Damaged if one of the files is not the recorded one.
     """
 
-    def ask(sources: Sequence[Source], what: str) -> int:
+    def ask(sources: Sequence[RowSource], what: str) -> int:
         found = answers([source for source in sources if isinstance(source, str)], what) if answers else {}
         unknown = [source for source in sources if not (isinstance(source, str) and source in found)]
         [(value,)] = fetch(f"SELECT {what} FROM {_rows(unknown)} WHERE {where}") if unknown else [(0,)]
@@ -126,26 +126,26 @@ def relation(
     scans = " UNION ALL BY NAME ".join(
         _scan(mixed.values(), kinds, some, rows=rows) for kinds, some in _parts(described, several).items()
     )
-    apart = [one for one in mixed.values() if one.apart]
+    apart = [column for column in mixed.values() if column.apart]
     return Relation(
         f"(SELECT {columns} FROM ({scans}))",
         kept,
-        {one.name: one.beside for one in apart},
-        frozenset(one.name for one in apart if not one.other),
+        {column.name: column.beside for column in apart},
+        frozenset(column.name for column in apart if not column.other),
         _spellings(described),
-        frozenset(one.name for one in mixed.values() if one.nan),
+        frozenset(column.name for column in mixed.values() if column.nan),
     )
 
 
-def _rows(sources: Sequence[Source], *, union: bool = True, rows: bool = False) -> str:
+def _rows(sources: Sequence[RowSource], *, union: bool = True, rows: bool = False) -> str:
     """Return the relation of the rows of files and of an index."""
     files = [source for source in sources if isinstance(source, str)]
     parts = [read_parquet(files, union=union, rows=rows, check=False)] if files else []
-    parts += [source.sql for source in sources if isinstance(source, Held)]
+    parts += [source.sql for source in sources if isinstance(source, IndexedRows)]
     return parts[0] if len(parts) == 1 else f"({' UNION ALL BY NAME '.join(f'SELECT * FROM {part}' for part in parts)})"
 
 
-Described = Sequence[tuple[Sequence[Source], Mapping[str, str]]]
+Described = Sequence[tuple[Sequence[RowSource], Mapping[str, str]]]
 """Groups of files that have the same columns, each with the types of these columns."""
 
 
@@ -167,25 +167,25 @@ def _spellings(described: Described) -> dict[str, list[str]]:
     return {next(iter(names)): list(names) for names in found.values() if len(names) > 1}
 
 
-def _by_type(described: Described) -> dict[str, dict[str, list[Source]]]:
+def _by_type(described: Described) -> dict[str, dict[str, list[RowSource]]]:
     """Return the files by column (in lower case) and type."""
-    found: dict[str, dict[str, list[Source]]] = {}
+    found: dict[str, dict[str, list[RowSource]]] = {}
     for files, columns in described:
         for name, kind in columns.items():
             found.setdefault(name.lower(), {}).setdefault(kind, []).extend(files)
     return found
 
 
-def _parts(described: Described, several: Sequence[str]) -> dict[tuple[str | None, ...], list[Source]]:
+def _parts(described: Described, several: Sequence[str]) -> dict[tuple[str | None, ...], list[RowSource]]:
     """Return the files by the types that they have in these columns."""
-    found: dict[tuple[str | None, ...], list[Source]] = {}
+    found: dict[tuple[str | None, ...], list[RowSource]] = {}
     for files, columns in described:
         theirs = {name.lower(): kind for name, kind in columns.items()}
         found.setdefault(tuple(map(theirs.get, several)), []).extend(files)
     return found
 
 
-def _scan(mixed: Iterable[_Mixed], kinds: Iterable[str | None], files: Sequence[Source], *, rows: bool) -> str:
+def _scan(mixed: Iterable[_Mixed], kinds: Iterable[str | None], files: Sequence[RowSource], *, rows: bool) -> str:
     """Return the query for the rows of files that have types `kinds` in the columns `mixed`."""
     those = [(one, kind) for one, kind in zip(mixed, kinds, strict=True) if kind is not None]
     cells = ", ".join(f"{one.cell(kind)} AS {identifier(one.name)}" for one, kind in those)
@@ -195,14 +195,14 @@ def _scan(mixed: Iterable[_Mixed], kinds: Iterable[str | None], files: Sequence[
 
 
 def _described(
-    fetch: Fetch, files: Sequence[Source], known: Mapping[str, Mapping[str, str]]
-) -> list[tuple[list[Source], dict[str, str]]]:
+    fetch: Fetch, files: Sequence[RowSource], known: Mapping[str, Mapping[str, str]]
+) -> list[tuple[list[RowSource], dict[str, str]]]:
     """Return the files grouped by equal columns, with the columns' types, in the order of the files."""
     unknown = [file for file in files if isinstance(file, str) and file not in known]
     columns = {file: theirs for some, theirs in read_columns(fetch, unknown) for file in some}
-    groups: dict[tuple[tuple[str, str], ...], list[Source]] = {}
+    groups: dict[tuple[tuple[str, str], ...], list[RowSource]] = {}
     for source in files:
-        theirs = source.columns if isinstance(source, Held) else known.get(source) or columns[source]
+        theirs = source.columns if isinstance(source, IndexedRows) else known.get(source) or columns[source]
         groups.setdefault(tuple(theirs.items()), []).append(source)
     return [(some, _with_texts(dict(theirs))) for theirs, some in groups.items()]
 
@@ -287,7 +287,7 @@ class _Mixed:
 
 
 def _mixed(
-    ask: Callable[[Sequence[Source], str], int], name: str, beside: str, kinds: Mapping[str, Sequence[Source]]
+    ask: Callable[[Sequence[RowSource], str], int], name: str, beside: str, kinds: Mapping[str, Sequence[RowSource]]
 ) -> _Mixed:
     """Decide how to read a column that has these types, each in some files."""
     column = identifier(name)
@@ -305,8 +305,8 @@ def _mixed(
         return _Mixed(name, beside, _of_times(others, seen, column) or _common(others), empty)
     texts = seen("VARCHAR", f"bit_or({bit(column)})") & NUMBERS if "VARCHAR" in others else 0
     kind = widest([*map(as_stored, numbers), *([as_stored(narrowest(texts) or "")] if texts else [])])
-    exact = [one for one in numbers if one not in ("DOUBLE", "FLOAT", EXACT_TEXT)] if kind == "DOUBLE" else []
-    rounded = any(seen(one, f"count_if({is_inexact(column, one)}) > 0") for one in exact)
+    exact = [number for number in numbers if number not in ("DOUBLE", "FLOAT", EXACT_TEXT)] if kind == "DOUBLE" else []
+    rounded = any(seen(number, f"count_if({is_inexact(column, number)}) > 0") for number in exact)
     whole = rounded and not texts and all(map(is_whole, exact)) and {*exact, "DOUBLE"} == {*numbers}
     if whole and not seen("DOUBLE", f"count_if({is_beyond(column, widest(exact))}) > 0"):
         nan = bool(seen("DOUBLE", f"count_if(isnan({column})) > 0"))

@@ -20,7 +20,7 @@ from sierra.store.schema import DERIVED, LATER, RECORDED, Column, columns_with
 from sierra.store.segments import Segment, is_first_part
 from sierra.store.sql_names import column_names, identifier, quote, row_name
 from sierra.store.sql_result import RawRow
-from sierra.store.union_files import Fetch, Held, Relation, Source, relation
+from sierra.store.union_files import Fetch, IndexedRows, Relation, RowSource, relation
 from sierra.store.verified_files import verify
 from sierra.util.lazy_definitions import regex
 
@@ -345,11 +345,11 @@ class Views:
         self._note("experiments", found, {name: name for name in found.types})
         return found.sql if self._within is None else f"(SELECT * FROM {found.sql} WHERE batch = {quote(self._within)})"
 
-    def _experiment_sources(self, batch: str | None = None) -> list[Source]:
+    def _experiment_sources(self, batch: str | None = None) -> list[RowSource]:
         """Return the files and the indexed rows of experiments in the order of their segments; those of one batch, if named."""
         files = [file for file in self._files.get("experiments", ()) if batch is None or segment_of(file)[:12] == batch[:12]]
         indexed = self._index.experiments(batch) if self._index and self._index.holds("experiments") else []
-        return sorted([*files, *indexed], key=lambda one: one.first if isinstance(one, Held) else segment_of(one))
+        return sorted([*files, *indexed], key=lambda one: one.first if isinstance(one, IndexedRows) else segment_of(one))
 
     def _stored(self, name: str) -> str:
         """Return the relation of a result in the index; "" if there is none that holds for all segments."""
@@ -403,18 +403,18 @@ class Views:
     def _fetch(self, statement: str) -> list[RawRow]:
         return self._execute(statement).fetchall()
 
-    def _note(self, table: str, found: Relation, sql_names: Mapping[str, str]) -> None:
+    def _note(self, table: str, rows: Relation, sql_names: Mapping[str, str]) -> None:
         """Note which columns have a `_text` column, and which were several that differ only in upper and lower case."""
-        for name, spelled in found.spellings.items():
+        for name, spelled in rows.spellings.items():
             several = " and ".join(map(repr, spelled))
             self.notes.append(f"column {sql_names[name]!r} of {table} is {several}, because SQL ignores upper and lower case")
-        for name, text in found.texts.items():
+        for name, text in rows.texts.items():
             column, beside = f"column {sql_names[name]!r} of {table}", repr(sql_names[text])
             split = "numbers in some runs and other values in others; the other values are"
-            if name in found.rounded:
+            if name in rows.rounded:
                 split = "fractions and very large whole numbers in different rows; the exact digits are"
             self.notes.append(f"{column} has {split} in {beside}")
-        for name in sorted(found.nans):
+        for name in sorted(rows.nans):
             split = "very large whole numbers, and nan in some runs; nan is NULL"
             self.notes.append(f"column {sql_names[name]!r} of {table} has {split}")
 
@@ -535,21 +535,21 @@ class Views:
         columns = {file: theirs for file, theirs in known.items() if theirs}
         counts = f"execution IN (SELECT judgement FROM ({self._counted}))"
         answers = partial(self._answers, name.lower())
-        found = relation(self._fetch, files, counts, rows=True, known=columns, answers=answers)
+        rows = relation(self._fetch, files, counts, rows=True, known=columns, answers=answers)
         axes = self.axes()
-        theirs = list(found.types)
+        theirs = list(rows.types)
         free = column_names(theirs, taken=axes)
         renamed = ", ".join(f"{identifier(c)} AS {identifier(n)}" for c, n in zip(theirs, free, strict=True) if c != n)
         rename = f" RENAME ({renamed})" if renamed else ""
         row = row_name((*axes, *free))
         self.sql_names[name.lower()] = dict(zip(theirs, free, strict=True))
-        self._note(name, found, self.sql_names[name.lower()])
+        self._note(name, rows, self.sql_names[name.lower()])
         ours = "".join(f"c.{identifier(axis)}, " for axis in axes)
         counted = f"{SETTLED}.counted" if self._settled else f"({self._counted_points})"
         return (
             f"SELECT {ours}c.number, o.file_row_number AS {identifier(row)}, "
             f"o.* EXCLUDE (file_row_number, filename) REPLACE (c.run AS run, c.execution AS execution){rename} "
-            f"FROM {found.sql} o JOIN {counted} c ON o.execution = c.judgement"
+            f"FROM {rows.sql} o JOIN {counted} c ON o.execution = c.judgement"
         )
 
     def _answers(self, output: str, files: Sequence[str], question: str) -> dict[str, int]:

@@ -196,7 +196,7 @@ def _value(node: ast.expr, values: Mapping[str, Value]) -> Number:
         case ast.Call(func=ast.Name(id=name)):
             arguments = [_value(argument, values) for argument in node.args]
             result = _bounded(FUNCTIONS[name](*arguments))
-            vanished = name == "exp" or (name in _KEEPING and any(isinstance(one, _Vanished) for one in arguments))
+            vanished = name == "exp" or (name in _KEEPING and any(isinstance(value, _Vanished) for value in arguments))
             return _Vanished() if result == 0 and vanished else result
     raise TypeError(f"{ast.unparse(node)!r} is not allowed")
 

@@ -58,13 +58,13 @@ class Scan:
                 "use a path that visits the document less often, with fewer // and .. within [ ]"
             )
         try:
-            found = etree.XPath(rooted, regexp=False)(self.view)
+            selected = etree.XPath(rooted, regexp=False)(self.view)
         except (etree.XPathError, ValueError) as error:
             raise TemplateError(f"{who}{shown} is not an XPath for {self.name}: {one_line(error)}") from error
-        if not isinstance(found, list):
-            kind = {bool: "a boolean", float: "a number"}.get(type(found), "a string")
+        if not isinstance(selected, list):
+            kind = {bool: "a boolean", float: "a number"}.get(type(selected), "a string")
             raise TemplateError(f"{who}{shown} returns {kind}, but must select keys or values in {self.name}")
-        return list(dict.fromkeys(self._selected(one) for one in found))
+        return list(dict.fromkeys(self._selected(node) for node in selected))
 
     def _selected(self, found: object) -> str | Node:
         if isinstance(found, str):

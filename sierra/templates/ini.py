@@ -165,8 +165,8 @@ class _Reader:
         if (self._root, name) in self._known:
             raise self._wrong(start, f"the section [{name}] occurs twice")
         self._known.add((self._root, name))
-        place = start + header.start(1) + len(header[1]) - len(header[1].lstrip())
-        section = Node(Kind.MAPPING, place, end, key=name, keys=[(place, place + len(name))], entries=[(start, end)])
+        begin = start + header.start(1) + len(header[1]) - len(header[1].lstrip())
+        section = Node(Kind.MAPPING, begin, end, key=name, keys=[(begin, begin + len(name))], entries=[(start, end)])
         self._root.children.append(section)
         self._last = None
         return section
@@ -216,11 +216,11 @@ def _indent(line: str) -> int:
     return len(line) - len(line.lstrip())
 
 
-def _value(written: str, place: int) -> Node:
+def _value(written: str, offset: int) -> Node:
     """Return the value of a line; quotes around it are not part of it."""
     quote = written[0] if len(written) > 1 and written[0] == written[-1] and written[0] in "\"'" else ""
     inner = written[1:-1] if quote else written
-    start = place + len(quote)
+    start = offset + len(quote)
     node = Node(Kind.UNTYPED, start, start + len(inner), inner, style=quote)
     if _COMMENT.search(inner) or (not quote and written[:1] in ("'", '"')):
         node.why = "may contain a comment or a part in quotes; write the comment on its own line"

@@ -56,10 +56,10 @@ def differing(name: str, before: bytes, after: bytes) -> tuple[Spot, ...]:
     try:
         trees = [parse(content, name).getroot() for content in (before, after)]
     except TemplateError:
-        found = patch(before, after, name)
-        if found.added is None:
+        changed = patch(before, after, name)
+        if changed.added is None:
             return (Spot(name, "bytes", f"{len(before)} bytes", f"{len(after)} bytes"),)
-        return (Spot(name, "lines", f"{found.removed} lines", f"{found.added} lines", found.lines),)
+        return (Spot(name, "lines", f"{changed.removed} lines", f"{changed.added} lines", changed.lines),)
     return tuple(_Comparison(*trees).spots()) or (Spot(name, "writing"),)
 
 
@@ -106,24 +106,24 @@ class _Comparison:
     def _children_of(self, path: str, before: Element, after: Element) -> Iterator[Spot]:
         old, new = _children(before), _children(after)
         pairs = self._pairs(old, new)
-        for place, child in enumerate(old):
-            if place in pairs:
-                yield from self._of(child, new[pairs[place]])
+        for index, child in enumerate(old):
+            if index in pairs:
+                yield from self._of(child, new[pairs[index]])
             else:
                 yield Spot(self._path(child), "removed", was=_whole(child))
-        for place in sorted(set(range(len(new))) - set(pairs.values())):
-            yield Spot(self._path(new[place]), "added", now=_whole(new[place]))
-        order = [pairs[place] for place in sorted(pairs)]
+        for index in sorted(set(range(len(new))) - set(pairs.values())):
+            yield Spot(self._path(new[index]), "added", now=_whole(new[index]))
+        order = [pairs[index] for index in sorted(pairs)]
         if order != sorted(order):
             yield Spot(path, "order")
 
     def _pairs(self, old: Sequence[Element], new: Sequence[Element]) -> dict[int, int]:
         """Return the matching children as pairs of indices."""
         ours, theirs = _named(old), _named(new)
-        pairs = {place: theirs[name] for name, place in ours.items() if name in theirs}
+        pairs = {index: theirs[name] for name, index in ours.items() if name in theirs}
         taken = set(pairs.values())
-        left = [place for place in range(len(old)) if place not in pairs]
-        right = [place for place in range(len(new)) if place not in taken]
+        left = [index for index in range(len(old)) if index not in pairs]
+        right = [index for index in range(len(new)) if index not in taken]
         for begin, end, first, last, alike in self._blocks([old[p] for p in left], [new[p] for p in right]):
             if alike:
                 pairs |= dict(zip(left[begin:end], right[first:last], strict=True))

@@ -74,19 +74,19 @@ class _Scanner:
             return Node(Kind.TEXT, place, end, value)
         return self._word(place)
 
-    def _members(self, place: int, depth: int) -> Node:
-        is_object = self._text[place] == "{"
-        node = Node(Kind.MAPPING if is_object else Kind.LIST, place, place)
+    def _members(self, offset: int, depth: int) -> Node:
+        is_object = self._text[offset] == "{"
+        node = Node(Kind.MAPPING if is_object else Kind.LIST, offset, offset)
         keys: set[str] = set()
         close = "}" if is_object else "]"
-        place = self._skip(place + 1)
-        while self._text[place : place + 1] != close:
+        offset = self._skip(offset + 1)
+        while self._text[offset : offset + 1] != close:
             if node.children:
-                place = self._skip(self._expect(place, ","))
-            child = self._member(place, depth, keys) if is_object else self._item(place, depth)
+                offset = self._skip(self._expect(offset, ","))
+            child = self._member(offset, depth, keys) if is_object else self._item(offset, depth)
             node.children.append(child)
-            place = self._skip(child.end)
-        node.end = place + 1
+            offset = self._skip(child.end)
+        node.end = offset + 1
         return node
 
     def _item(self, place: int, depth: int) -> Node:

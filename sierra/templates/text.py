@@ -183,7 +183,7 @@ class TextDocument:
 def _split(text: str, name: str, begin: str, end: str) -> tuple[list[str], list[str]]:
     """Return the pieces of a text and the placeholders between them. Raises TemplateError for one that is no name."""
     pieces: list[str] = []
-    found: list[str] = []
+    placeholders: list[str] = []
     after = 0
     signs = f"{re.escape(begin)}|{re.escape(end)}"
     for match in re.finditer(f"{re.escape(begin)}((?:(?!{signs}).)*+){re.escape(end)}", text):
@@ -192,12 +192,12 @@ def _split(text: str, name: str, begin: str, end: str) -> tuple[list[str], list[
             right = f"use a name of letters, digits and _, or another [template_formats.text] placeholder than {begin}name{end}"
             raise failure(name, text, match.start(), f"{match[0][:40]} is not a placeholder; {right}")
         pieces.append(text[after : match.start()])
-        found.append(inner)
+        placeholders.append(inner)
         after = match.end()
     pieces.append(text[after:])
-    if not found:
+    if not placeholders:
         raise failure(name, text, 0, f"a text without placeholders; write {begin}name{end} where values belong")
-    return pieces, found
+    return pieces, placeholders
 
 
 def _who(change: Change) -> str:

@@ -105,20 +105,20 @@ class _Scanner:
     def document(self) -> Node:
         text = self._text
         root = table = Node(Kind.MAPPING, 0, len(text), style="table", entries=[(0, 0)])
-        place = self._fill(0)
-        while place < len(text):
-            start = text.rfind("\n", 0, place) + 1
-            if text[place] == "[":
+        offset = self._fill(0)
+        while offset < len(text):
+            start = text.rfind("\n", 0, offset) + 1
+            if text[offset] == "[":
                 if table is root and root.entries == [(0, 0)]:
                     root.entries = [(start, start)]  # keys of the document would be written before the first header
-                table, end = self._header(root, place)
+                table, end = self._header(root, offset)
                 table.entries = [(start, self._line_end(end))]
             else:
-                node, end = self._pair(table, place)
+                node, end = self._pair(table, offset)
                 end = self._line_end(end)
                 node.entries = [(start, end)]
                 table.entries = [(table.entries[0][0], end)]
-            place = self._fill(end)
+            offset = self._fill(end)
         return root
 
     def _header(self, root: Node, place: int) -> tuple[Node, int]:
@@ -143,18 +143,18 @@ class _Scanner:
         self._known[parent, key] = node
         return node, node.end
 
-    def _keys(self, place: int) -> tuple[list[Key], int]:
+    def _keys(self, offset: int) -> tuple[list[Key], int]:
         """Return the parts of a dotted key, and the place of the sign after it."""
-        found: list[Key] = []
+        keys: list[Key] = []
         while True:
-            bare = _BARE.match(self._text, place)
-            end = bare.end() if bare else self._quoted(place)[1]
-            written = self._text[place:end]
-            found.append((written if bare else str(tomllib.loads(f"key = {written}")["key"]), (place, end)))
-            place = self._blank(end)
-            if self._text[place : place + 1] != ".":
-                return found, place
-            place = self._blank(place + 1)
+            bare = _BARE.match(self._text, offset)
+            end = bare.end() if bare else self._quoted(offset)[1]
+            written = self._text[offset:end]
+            keys.append((written if bare else str(tomllib.loads(f"key = {written}")["key"]), (offset, end)))
+            offset = self._blank(end)
+            if self._text[offset : offset + 1] != ".":
+                return keys, offset
+            offset = self._blank(offset + 1)
 
     def _table(self, node: Node, keys: list[Key]) -> Node:
         """Return the table that keys lead to; it is made if it is new. Within a list of tables, it is the last."""
@@ -171,17 +171,17 @@ class _Scanner:
         found.keys.append(span)
         return found
 
-    def _value(self, place: int) -> Node:
-        first = self._text[place]
+    def _value(self, offset: int) -> Node:
+        first = self._text[offset]
         if first == "[":
-            return self._array(place)
+            return self._array(offset)
         if first == "{":
-            return self._inline(place)
+            return self._inline(offset)
         if first in "\"'":
-            style, end = self._quoted(place)
-            return Node(Kind.TEXT, place, end, style=style)
-        word = _WORD.match(self._text, place)
-        return Node(Kind.FIXED, place, word.end() if word else place)
+            style, end = self._quoted(offset)
+            return Node(Kind.TEXT, offset, end, style=style)
+        word = _WORD.match(self._text, offset)
+        return Node(Kind.FIXED, offset, word.end() if word else offset)
 
     def _array(self, place: int) -> Node:
         node = Node(Kind.LIST, place, place, style="brackets")

@@ -194,9 +194,9 @@ class TreeDocument:
     def _matches(self, change: Change) -> list[Node]:
         """Return all matches of a change: at least one, and as many as the change expects."""
         scan = self.scan
-        found = scan.select(change.path, _who(change))
-        nodes = [node for node in found if isinstance(node, Node)]
-        if len(nodes) < len(found):
+        selected = scan.select(change.path, _who(change))
+        nodes = [node for node in selected if isinstance(node, Node)]
+        if len(nodes) < len(selected):
             raise self._error(change, "selects names of keys; select the keys themselves")
         if not nodes:
             raise self._error(change, "matches nothing", one_line(nearest(change.path, scan.exists, scan.steps)))
@@ -311,9 +311,9 @@ class TreeDocument:
         text, parent = scan.text, scan.at(tuple(above))
         # Each is put after the item, at the same place of the text, which need not be read again for the next one.
         each = [self.scan.notation.added(text, parent, None, new, None) for new in new_items]
-        place = min((_common(text, longer) for longer in each), default=0)
-        pieces = (longer[place : place + len(longer) - len(text)] for longer in each)
-        text = text[:place] + "".join(pieces) + text[place:]
+        common = min((_common(text, longer) for longer in each), default=0)
+        pieces = (longer[common : common + len(longer) - len(text)] for longer in each)
+        text = text[:common] + "".join(pieces) + text[common:]
         items = (item.plain(), *(new.plain() for new in new_items))
         scan = self._read(scan, text, tuple(above), lambda _: (Kind.LIST, items))
         return self._removed(scan, (*above, 0))

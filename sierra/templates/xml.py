@@ -125,13 +125,13 @@ class XmlDocument:
     def _one_by_one(self, changes: Sequence[Change], filled: Callable[[str], str]) -> XmlDocument:
         document = self
         for are_sets, group in groupby(changes, lambda change: isinstance(change, Set)):
-            made = list(group)
+            together = list(group)
             try:
                 if not are_sets:
                     raise Unspliced
-                document = document._set([change for change in made if isinstance(change, Set)], filled)
+                document = document._set([change for change in together if isinstance(change, Set)], filled)
             except Unspliced:
-                document = document._restructured(made, filled)
+                document = document._restructured(together, filled)
         return document
 
     def _set(self, sets: Sequence[Set], filled: Callable[[str], str]) -> XmlDocument:
@@ -191,12 +191,12 @@ class XmlDocument:
                         current.update(_written(scan, slot, current, text))
             tokens = [current[gap].token for gap in gaps]
             if source.piecewise:
-                made = source.mark + _joined(encoded, [source.encoded(token) for token in tokens], b"")
+                rendered = source.mark + _joined(encoded, [source.encoded(token) for token in tokens], b"")
             else:
-                made = source.mark + source.encoded(_joined(pieces, tokens, ""))
+                rendered = source.mark + source.encoded(_joined(pieces, tokens, ""))
             after = {**self._edits, **current}
-            scan.verify(made, places_changed, ((place, edit.value or "") for place, edit in after.items()))
-            return made
+            scan.verify(rendered, places_changed, ((place, edit.value or "") for place, edit in after.items()))
+            return rendered
 
         return render
 

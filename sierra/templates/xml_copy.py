@@ -33,10 +33,8 @@ class XmlCopy:
         self._originals = dict(zip(self._nodes, scan.nodes, strict=True))
         self._touched: set[Element] = set()
         self._renamed: set[Element] = set()
-        self._written: set[Place] = set()
-        """Attributes with new values."""
         self._raws: dict[Place, str] = {}
-        """Texts that are not those of the original, as they are written."""
+        """Texts and values of attributes that are not those of the original, as they are written."""
         self._declares = False
         """True if a change has added or removed declarations of namespaces, whose prefixes are known when they are written."""
         copies = dict(zip(scan.nodes, self._nodes, strict=True)) if edits else {}
@@ -58,17 +56,7 @@ class XmlCopy:
             raise Unspliced
         match change:
             case Set():
-                text = view.legal(filled(change.value), change)
-                slots = view.slots(change, self._raw_in_file)
-                self._check_read(slot.places[0].element for slot in slots)
-                for slot in slots:
-                    values = [place.read() for place in slot.places]
-                    if not slot.keeps(values, text):
-                        for place, part in slot.parts(text):
-                            if place.read() != part and place in slot.sections:
-                                self._put(place, part, self._scan.section(part))
-                            elif place.read() != part:
-                                self._write(place, part)
+                self._set(change, filled)
             case Add():
                 parents = view.elements(change)
                 self._check_read(parents)
@@ -82,15 +70,7 @@ class XmlCopy:
                 for node in nodes:
                     self._remove(node, change)
             case Rename():
-                to = filled(change.to) if _ONE_NAME.fullmatch(change.to) else change.to
-                elements = view.elements(change)
-                self._check_read(elements)
-                if not self._touched.isdisjoint(elements):
-                    raise Unspliced
-                for element in elements:
-                    element.tag = view.clark(to, element, change, etree.QName(element).namespace)
-                    self._touched.add(element)
-                    self._renamed.add(element)
+                self._rename(change, filled)
             case Repeat():
                 elements = view.elements(change)
                 self._check_read(other for element in elements for other in (element, *element.itersiblings(element.tag)))
@@ -111,18 +91,38 @@ class XmlCopy:
     def _write(self, place: Place, text: str) -> None:
         self._touched.add(place.element)
         place.write(text)
-        token = self._scan.token(text, '"' if place.kind == "attribute" else "")
-        if place.kind == "attribute":
-            self._written.add(place)
-        else:
-            self._raws[place] = token
+        self._raws[place] = self._scan.token(text, '"' if place.kind == "attribute" else "")
 
     def _put(self, place: Place, text: str, raw: str) -> None:
         """Write a text that is known as it is written."""
         self._write(place, text)
         self._raws[place] = raw
 
+    def _set(self, change: Set, filled: Callable[[str], str]) -> None:
+        text = self.view.legal(filled(change.value), change)
+        slots = self.view.slots(change, self._raw_in_file)
+        self._check_read(slot.places[0].element for slot in slots)
+        for slot in slots:
+            if slot.keeps([place.read() for place in slot.places], text):
+                continue
+            for place, part in slot.parts(text):
+                if place.read() != part and place in slot.sections:
+                    self._put(place, part, self._scan.section(part))
+                elif place.read() != part:
+                    self._write(place, part)
+
     # Changes of the structure
+
+    def _rename(self, change: Rename, filled: Callable[[str], str]) -> None:
+        name = filled(change.to) if _ONE_NAME.fullmatch(change.to) else change.to
+        elements = self.view.elements(change)
+        self._check_read(elements)
+        if not self._touched.isdisjoint(elements):
+            raise Unspliced
+        for element in elements:
+            element.tag = self.view.clark(name, element, change, etree.QName(element).namespace)
+            self._touched.add(element)
+            self._renamed.add(element)
 
     def _remove(self, node: Element | etree._ElementUnicodeResult, change: Remove) -> None:
         if is_text(node):
@@ -139,16 +139,16 @@ class XmlCopy:
     def _take_out(self, element: Element) -> None:
         """Remove an element and its line; the text after it stays."""
         parent, previous = element.getparent(), element.getprevious()
-        place, behind = Place(parent, "text") if previous is None else Place(previous, "tail"), Place(element, "tail")
-        before, after = place.read() or "", behind.read() or ""
-        raw, raw_after = self._raw(place), self._raw(behind)
+        ahead, behind = Place(parent, "text") if previous is None else Place(previous, "tail"), Place(element, "tail")
+        before, after = ahead.read() or "", behind.read() or ""
+        raw, raw_after = self._raw(ahead), self._raw(behind)
         kept, raw_kept = before + after, raw + raw_after
         if not kept.strip() and "\n" in kept:
             kept, raw_kept = (after, raw_after) if "\n" in after else (before, raw)
         parent.remove(element)
         self._touched.add(parent)
         if raw_kept != raw:
-            self._put(place, kept, raw_kept)
+            self._put(ahead, kept, raw_kept)
 
     def _repeat(self, element: Element, change: Repeat, filled: Callable[[str], str]) -> None:
         """Put copies of an element into its place, and remove the following ones of its name."""
@@ -230,11 +230,7 @@ class XmlCopy:
         """Return the document with the bytes of the original where nothing was changed."""
         source = self.view.source
         mark = self._scan.marks[self._originals[self.view.root]]
-        changed = set(self._touched)
-        for element in self._touched:
-            while (above := element.getparent()) is not None and above not in changed:
-                changed.add(above)
-                element = above
+        changed = self._touched.union(*(element.iterancestors() for element in self._touched))
         body = "".join(self._whole(self.view.root, changed, {}))
         return source.mark + source.encoded(source.text[: mark.start] + body + source.text[mark.end :])
 
@@ -266,18 +262,14 @@ class XmlCopy:
         text, mark = self.view.source.text, self._scan.marks[original]
         old, more = name_in(text, mark.start), Prefixes()
         name = self._name(element, original, prefixes, more) if element in self._renamed else old
-        kept: dict[int, str] = {}
-        for attribute in attributes(text, mark.start, mark.inner):
-            if attribute.declares:
-                kept[attribute.start] = text[attribute.start : attribute.end + 1]
-        known = set()
-        for clark, attribute in self._scan.attributes(original):
-            known.add(clark)
-            value = element.get(clark)
-            if value is None:
+        declared = (attribute for attribute in attributes(text, mark.start, mark.inner) if attribute.declares)
+        kept = {attribute.start: text[attribute.start : attribute.end + 1] for attribute in declared}
+        known = dict(self._scan.attributes(original))
+        for clark, attribute in known.items():
+            if (value := element.get(clark)) is None:
                 continue
             token = text[attribute.begin : attribute.end]
-            if Place(element, "attribute", clark) in self._written:
+            if Place(element, "attribute", clark) in self._raws:
                 token = self.view.source.escaped(value, text[attribute.end])
             kept[attribute.start] = text[attribute.start : attribute.begin] + token + text[attribute.end]
         pieces = [kept[start] for start in sorted(kept)]

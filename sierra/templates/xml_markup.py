@@ -45,7 +45,7 @@ _ESCAPES = {
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
+class EncodedText:
     """The text of a document, and how it is encoded."""
 
     name: str
@@ -87,7 +87,7 @@ class Source:
         return xml.replace("\n", "\r\n") if self.crlf else xml
 
 
-def read_source(data: bytes, encoding: str | None, name: str) -> Source:
+def read_source(data: bytes, encoding: str | None, name: str) -> EncodedText:
     """Return the text of a document. Raises TemplateError for declared entities, or if text and bytes do not convert."""
     mark, codec = next(((m, c) for m, c in _MARKS if data.startswith(m)), (b"", ""))
     codec = codec or next((c for start, c in _UNMARKED if data.startswith(start)), encoding or "utf-8")
@@ -101,7 +101,7 @@ def read_source(data: bytes, encoding: str | None, name: str) -> Source:
     doctype = next((match["doctype"] for match in _MARKUP.finditer(text) if match["doctype"] or match["tag"]), None) or ""
     _refuse_entities(doctype, name)
     crlf = "\r\n" in text and not re.search(r"\r(?!\n)|(?<!\r)\n", text)
-    return Source(name, mark, text, codec, codecs.lookup(codec).name in _PIECEWISE, crlf, "<!ATTLIST" in doctype)
+    return EncodedText(name, mark, text, codec, codecs.lookup(codec).name in _PIECEWISE, crlf, "<!ATTLIST" in doctype)
 
 
 def unreadable(name: str, codec: str) -> TemplateError:
@@ -139,13 +139,13 @@ class Mark:
 
 def marks(text: str) -> list[Mark]:
     """Return the marks of the root element and all that is in it, in the order of the document."""
-    found: list[Mark] = []
+    in_order: list[Mark] = []
     around: list[Mark] = []
     in_text = False
     last: Mark | None = None
     for match in _MARKUP.finditer(text):
         kind = match.lastgroup
-        if kind in ("cdata", "doctype") or (not around and (found or kind != "tag")):
+        if kind in ("cdata", "doctype") or (not around and (in_order or kind != "tag")):
             continue
         start, end = match.span()
         if last and in_text:
@@ -159,11 +159,11 @@ def marks(text: str) -> list[Mark]:
             last.close, last.end, last.tail_end = start, end, end
             continue
         last = Mark(start, end, end, end, end, end)
-        found.append(last)
+        in_order.append(last)
         in_text = kind == "tag" and text[end - 2] != "/"
         if in_text:
             around.append(last)
-    return found
+    return in_order
 
 
 class Attribute(NamedTuple):

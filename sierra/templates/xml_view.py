@@ -16,7 +16,7 @@ from sierra.templates import xpath_time_limit
 from sierra.templates.nearest_path import nearest
 from sierra.templates.same_number import is_lost, same
 from sierra.templates.xml_characters import illegal
-from sierra.templates.xml_markup import Source, decoded
+from sierra.templates.xml_markup import EncodedText, decoded
 from sierra.util.lazy_definitions import dataclass, regex
 from sierra.util.text import one_line
 
@@ -68,20 +68,20 @@ def declarations(root: Element) -> dict[str, str]:
     return found
 
 
-def differ(one: Element, other: Element) -> bool:
+def differ(element: Element, other: Element) -> bool:
     """Return True if two elements differ in their content: names, attributes, texts, comments and the rest in their order.
 
     Elements that lxml writes in the same way are the same. Others may differ in the writing only.
     """
-    if etree.tostring(one, with_tail=False) == etree.tostring(other, with_tail=False):
+    if etree.tostring(element, with_tail=False) == etree.tostring(other, with_tail=False):
         return False
-    ours, theirs = list(one.iter()), list(other.iter())
+    ours, theirs = list(element.iter()), list(other.iter())
     if len(ours) != len(theirs):
         return True
     for a, b in zip(ours, theirs, strict=True):
         if a.tag != b.tag or len(a) != len(b) or (a.text or "") != (b.text or ""):
             return True
-        if a is not one and (a.tail or "") != (b.tail or ""):
+        if a is not element and (a.tail or "") != (b.tail or ""):
             return True
         if isinstance(a.tag, str) and dict(a.attrib) != dict(b.attrib):
             return True
@@ -214,7 +214,7 @@ def who(change: Change) -> str:
 class View:
     """A root element in which paths select nodes; messages name its source."""
 
-    def __init__(self, root: Element, source: Source) -> None:
+    def __init__(self, root: Element, source: EncodedText) -> None:
         self.root = root
         self.source = source
         self.namespaces = declarations(root)
@@ -238,16 +238,16 @@ class View:
                 "use a path that visits the document less often, with fewer // and .. within [ ]"
             )
         try:
-            found = etree.XPath(path, namespaces=self.namespaces, regexp=False)(self.root)
+            selected = etree.XPath(path, namespaces=self.namespaces, regexp=False)(self.root)
         except (etree.XPathError, ValueError) as error:
             known = f"; known prefixes are {', '.join(self.namespaces)}" if "prefix" in str(error) and self.namespaces else ""
             raise TemplateError(f"{who}{shown} is not an XPath for {name}: {one_line(error)}{known}") from error
-        if not isinstance(found, list):
-            kind = {bool: "a boolean", float: "a number"}.get(type(found), "a string")
+        if not isinstance(selected, list):
+            kind = {bool: "a boolean", float: "a number"}.get(type(selected), "a string")
             raise TemplateError(f"{who}{shown} returns {kind}, but must select nodes in {name}")
-        if any(not is_text(node) and not etree.iselement(node) for node in found):
+        if any(not is_text(node) and not etree.iselement(node) for node in selected):
             raise TemplateError(f"{who}{shown} selects namespaces in {name}; select elements, attributes or texts")
-        return found
+        return selected
 
     def matches(self, change: Change) -> list[Node]:
         """Return all matches of a change: at least one, and as many as the change expects."""
@@ -288,14 +288,14 @@ class View:
             places = tuple(texts_from(place))
             if place.kind != "attribute":
                 self._check_alone(change, node, places, raw)
-            slots.append(_slot(places, [raw(one) for one in places]) if len(places) > 1 else Slot(places))
+            slots.append(_slot(places, [raw(selected) for selected in places]) if len(places) > 1 else Slot(places))
         return slots
 
     def _check_alone(self, change: Set, node: Node, places: Sequence[Place], raw: Callable[[Place], str]) -> None:
         """Check that no other text or reference belongs to the value of a node."""
         first, last = places[0].element, places[-1]
         after = next(iter(first), None) if last == Place(first, "text") else last.element.getnext()
-        if references := [one for one in (first, after) if one is not None and one.tag is etree.Entity]:
+        if references := [near for near in (first, after) if near is not None and near.tag is etree.Entity]:
             raise self.error(
                 change, f"has the reference {references[0].text} beside its text", "; write its text there instead"
             )
@@ -332,17 +332,17 @@ class View:
         named: dict[Element, str] = {}
         beside = Counter((element.getparent(), element.tag) for element in self.root.iter(etree.Element))
         for element in self.root.iter(etree.Element):
-            place = next((call for call in self._calls(element) if counted[call] == 1 and self._alone(call)), None)
-            if place is None and (around := named.get(element.getparent())) is not None:
+            slot = next((call for call in self._calls(element) if counted[call] == 1 and self._alone(call)), None)
+            if slot is None and (around := named.get(element.getparent())) is not None:
                 is_only = beside[element.getparent(), element.tag] == 1 and "local-name()" not in self._qualified(element.tag)
-                place = f"{around}/{self._qualified(element.tag)}" if is_only else None
-            if place is None:
+                slot = f"{around}/{self._qualified(element.tag)}" if is_only else None
+            if slot is None:
                 continue
-            named[element] = place
+            named[element] = slot
             for name, value in element.attrib.items():
-                yield f"{place}/@{self._qualified(name)}", value
+                yield f"{slot}/@{self._qualified(name)}", value
             if all(child.tag in _BETWEEN for child in element) and (value := value_of(element)).strip():
-                yield place, value
+                yield slot, value
 
     def _calls(self, element: Element) -> Sequence[str]:
         """Return the possible names of an element in paths: its tag, with its name, with its id."""

@@ -25,7 +25,7 @@ PROGRAM = re.compile(rb"\0-I\0-S\0[^\0]*/%s\0" % re.escape(program.NAME.encode()
 CLEAN_S = 10.0  # for an engine's cleanup after its containers have ended
 
 
-class Held:
+class HeldContainer:
     """A container that is started before its run begins.
 
     A program in it waits to read a line from a named pipe, and then becomes the program of the run. It has opened the pipe for

@@ -23,7 +23,7 @@ outputs are not read by then count as interrupted.
 The argv of a job with services, or with commands before or after its own, is CONDUCTED and a plan for the `conductor`, which is
 started instead, and executes all of them.
 
-If a run waits for its moment, and its client has a `start_pipe`, the container is started before: see `containers.Held`.
+If a run waits for its moment, and its client has a `start_pipe`, its container starts before: see `containers.HeldContainer`.
 Otherwise its `end` has the key `delay_s`: how many seconds after its moment its program had begun, because the engine took so
 long.
 """
@@ -46,7 +46,7 @@ import time
 from typing import TYPE_CHECKING, Mapping, Sequence, TextIO
 
 from sierra.worker.conductor_report import report_of
-from sierra.worker.containers import PROGRAM, Held, await_orphans, end_container
+from sierra.worker.containers import PROGRAM, HeldContainer, await_orphans, end_container
 from sierra.worker.devices import with_own_devices
 from sierra.worker.errors import explain, why_not_started
 from sierra.worker.files import CHUNK, check_room, entries_of, is_folder, is_full, remove, unlink
@@ -77,7 +77,7 @@ from sierra.worker.shared_container import Container
 from sierra.worker.shared_files import shared_files
 from sierra.worker.shared_services import UNOBSERVED, SharedServices, trouble_of_services
 from sierra.worker.temporary_folders import OWN_TMP, Temporary, check_temporary
-from sierra.worker.waker import Waker
+from sierra.worker.wakeup_pipe import WakeupPipe
 
 if TYPE_CHECKING:
     from sierra.worker.file_trace import Way
@@ -119,7 +119,7 @@ class Worker:
         self.contains = False
         self.stopping = self.terminated = self.without_grace = False
         self.stop_reading_at = 0.0
-        self.waker = Waker()
+        self.wakeup = WakeupPipe()
         self.failure: str | None = None
         self.full = False
         self.numbers = itertools.count(1 + max([int(name) for name in os.listdir(folder) if name.isdigit()], default=0))
@@ -150,13 +150,13 @@ class Worker:
         """Execute all jobs in `stream`, or stop before its end: see `status`."""
         kind = os.fstat(stream.fileno()).st_mode
         if stat.S_ISFIFO(kind) or stat.S_ISSOCK(kind):
-            self.waker.watch_pipe(stream.fileno())
+            self.wakeup.watch_pipe(stream.fileno())
         threading.Thread(target=self.read, args=(stream,), daemon=True).start()
         threads = [threading.Thread(target=self.slot, args=(number,)) for number in range(self.slots)]
         for thread in threads:
             thread.start()
         while any(thread.is_alive() for thread in threads):
-            if not self.waker.wait(self.watch()):
+            if not self.wakeup.wait(self.watch()):
                 self.stop()
         if self.services is not None:
             self.services.end(skip_grace=lambda: self.without_grace)
@@ -190,12 +190,12 @@ class Worker:
         """Start no further runs, and end the running ones. Can be called by a signal handler."""
         self.stop_reading_at = self.stop_reading_at or time.monotonic() + GIVE_UP_S
         self.stopping = True
-        self.waker.wake()
+        self.wakeup.wake()
 
     def close(self) -> None:
         """Close the files of the worker."""
         self.journal.close()
-        self.waker.close()
+        self.wakeup.close()
 
     def check_stop(self) -> None:
         """Raise GivenUp if the worker was told to stop so long ago that outputs are no longer read."""
@@ -231,7 +231,7 @@ class Worker:
         container = self.containers.pop(number, None)
         if container is not None:
             container.close()
-        self.waker.wake()
+        self.wakeup.wake()
 
     def execute_inside(self, job: Job, slot: int) -> None:
         """Execute one run in the slot's container. Starts the container if there is none."""
@@ -321,7 +321,7 @@ class Worker:
     ) -> None:
         """Execute a run in its folder, which has been made."""
         observation = self.observations.begin(job, folder)
-        held = Held(job, folder) if job.get("waits") and job.get("client", {}).get("start_pipe") else None
+        held = HeldContainer(job, folder) if job.get("waits") and job.get("client", {}).get("start_pipe") else None
         if job.get("waits") and not self.await_moment(job, held):
             remove(folder)
             return
@@ -346,7 +346,7 @@ class Worker:
             self.running[running.pid] = running
         self.note(running, {"event": "start", "execution": running.execution, "pid": running.pid, "born": birth(running.pid)})
         if running.limited or observation or self.stopping:
-            self.waker.wake()
+            self.wakeup.wake()
         status, usage = await_end(running)
         wall = time.monotonic() - started
         process.returncode = status
@@ -405,7 +405,7 @@ class Worker:
             remains["delay_s"] = wall if running.meter.since is None else running.meter.since - running.started
         self.report(job, slot, folder, began, wall, remains, status, running.meter.report() if running.meter else used(usage))
 
-    def await_moment(self, job: Job, held: Held | None) -> bool:
+    def await_moment(self, job: Job, held: HeldContainer | None) -> bool:
         """Report that a run is prepared, and wait until its moment. Return False if the worker was told to stop before.
 
         Raises NotHeld if its container has ended.
@@ -430,7 +430,7 @@ class Worker:
         now = time.monotonic()
         return time.time() if self.begin is None else self.wall + now - self.begin, now
 
-    def has_time_come(self, held: Held | None) -> bool:
+    def has_time_come(self, held: HeldContainer | None) -> bool:
         while not self.stopping:
             if held:
                 held.check()

@@ -12,14 +12,20 @@ from __future__ import annotations
 
 import os.path
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import ClassVar, Protocol, runtime_checkable
 
 from sierra.config.capture_table import Capture
 from sierra.config.field_types import Table
 from sierra.config.plugin_registry import PLATFORMS
 from sierra.config.project_file import Project
-from sierra.model import Axis, Change, Criterion, Point, Pose
+from sierra.design.query.ranges import values
+from sierra.errors import QueryError
+from sierra.model import Axis, Change, Criterion, Point, Pose, Scale, Set
 from sierra.util.lazy_definitions import dataclass, field
+
+Spanned = tuple[Axis, tuple[Point, ...]]
+"""The axis of a criterion, with a point for each of its values."""
 
 
 class Reader(Protocol):
@@ -33,7 +39,7 @@ class Platform(Protocol):
     """One way to drive a simulator. It is created once per batch from the project, and holds no state of a run.
 
     All methods may be called many times, and must return the same for the same project and template, because a run's identity
-    is made from their results.
+    is made from their results. A class that inherits from this one needs only `command`, `files` and what differs.
     """
 
     Options: ClassVar[type[Table]]
@@ -44,22 +50,26 @@ class Platform(Protocol):
 
     def changes(self, template: Reader) -> tuple[Change, ...]:
         """Return the platform's changes to every run's input; they are made before all others. `template` is as in its file."""
+        return ()
 
     def seed_changes(self) -> tuple[Change, ...]:
         """Return the changes that write the seed (`{seed}`) by this platform's own rules; may be empty."""
+        return ()
 
-    def criterion(self, criterion: Criterion, template: Reader) -> tuple[Axis, tuple[Point, ...]] | None:
+    def criterion(self, criterion: Criterion, template: Reader) -> Spanned | None:
         """Return the axis and the points of one of this platform's own criteria, or None for an unknown name.
 
         `template` is the experiment's input without this criterion. All changes of the platform, the project, controller,
         scenario, variables and `--set` are made, except those that use a value of this platform's criteria. The method may be
         called with several templates for one batch; the axis must be the same for all. A variable of the project with the same
         name takes precedence. Raises QueryError if the criterion is the platform's but its scale does not fit.
-        `sierra.design.query.ranges.values` returns a scale's numbers.
+        `sierra.design.query.ranges.values` returns a scale's numbers, `population_size` the answer for that criterion.
         """
+        return None
 
     def criteria(self) -> Mapping[str, str]:
         """Return the names of the criteria that `criterion` accepts, each with a description."""
+        return {}
 
     def check(self, document: Reader, template: Reader) -> None:
         """Raise TemplateError if the input of a run, after all changes, cannot be correct.
@@ -75,6 +85,7 @@ class Platform(Protocol):
 
     def environment(self) -> Mapping[str, str]:
         """Return variables that this simulator needs. They are part of a run's identity, so they contain no local paths."""
+        return {}
 
 
 @runtime_checkable
@@ -145,3 +156,21 @@ def driver_path(template: str, name: str, *, is_among_files: bool) -> str:
     """Return the path of a driver in a command: beside the input, which lies in its template's folder among other files."""
     folder = os.path.dirname(os.path.normpath(template)) if is_among_files else ""  # noqa: PTH120
     return "/".join(("{run}", *filter(None, (folder,)), name))
+
+
+def driver_files(platform: str, *names: str) -> tuple[tuple[str, bytes], ...]:
+    """Return programs that runs need, as input files: those in the folder `drivers` beside the module `platform`, its path."""
+    return tuple((name, (Path(platform).parent / "drivers" / name).read_bytes()) for name in names)
+
+
+def population_size(scale: Scale, path: str) -> Spanned:
+    """Return the axis and the points of the criterion `population_size` for a platform that writes it at a path.
+
+    Raises QueryError for a value that is not a whole number of 1 or more.
+    """
+    sizes = values(scale)
+    for size in sizes:
+        if isinstance(size, str) or size < 1 or size != int(size):
+            raise QueryError(f"population_size: {size} is not a whole number of 1 or more; use population_size=1,2,4")
+    points = tuple(Point(size, (Set(path, str(size), expect=1, why="population_size"),)) for size in sizes)
+    return Axis("population_size", sizes, "population size"), points

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import PurePosixPath
 from typing import ClassVar
 
 from sierra.config.field_types import Table
 from sierra.config.plugin_registry import NoOptions
 from sierra.config.project_file import Project
-from sierra.design.platforms.base import Reader
+from sierra.design.platforms.base import Platform
 from sierra.errors import ConfigError
-from sierra.model import Axis, Change, Criterion, Point
 
 
-class Command:
+class Command(Platform):
     """The platform `command`: arguments with placeholders; the project defines everything else."""
 
     Options: ClassVar[type[Table]] = NoOptions
@@ -26,26 +24,8 @@ class Command:
         self._command = project.command
         self._file = "input" + (PurePosixPath(project.template or "").suffix or ".xml")
 
-    def changes(self, template: Reader) -> tuple[Change, ...]:
-        return ()
-
-    def seed_changes(self) -> tuple[Change, ...]:
-        return ()
-
-    def criterion(self, criterion: Criterion, template: Reader) -> tuple[Axis, tuple[Point, ...]] | None:
-        return None
-
-    def criteria(self) -> Mapping[str, str]:
-        return {}
-
-    def check(self, document: Reader, template: Reader) -> None:
-        """Accept every input, because nothing is known about the format that a program reads."""
-
     def command(self) -> tuple[str, ...]:
         return self._command
 
     def files(self, document: bytes) -> tuple[tuple[str, bytes], ...]:
         return ((self._file, document),)
-
-    def environment(self) -> Mapping[str, str]:
-        return {}

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from sierra.errors import Damaged, NotFound
-from sierra.explain.diff.load_sides import Side
+from sierra.explain.diff.load_sides import ComparedRuns
 from sierra.explain.diff.model import ARROW, Difference
 from sierra.provenance import commits_between, recorded_source_diff
 from sierra.provenance.commits_between import Commits
@@ -21,7 +21,7 @@ from sierra.util.text import few
 SHOWN = 8
 
 
-def source(store: Store, root: Path, before: Side, after: Side) -> Iterator[Difference]:
+def source(store: Store, root: Path, before: ComparedRuns, after: ComparedRuns) -> Iterator[Difference]:
     """Yield the difference of the two recorded sources."""
     was, now = before.spec.source, after.spec.source
     if was == now:
@@ -33,7 +33,7 @@ def source(store: Store, root: Path, before: Side, after: Side) -> Iterator[Diff
         yield _tree(store, root, before, after)
 
 
-def _tree(store: Store, root: Path, before: Side, after: Side) -> Difference:
+def _tree(store: Store, root: Path, before: ComparedRuns, after: ComparedRuns) -> Difference:
     was, now = before.spec.source, after.spec.source
     try:
         old, new = (_state(store, side) for side in (before, after))
@@ -43,14 +43,14 @@ def _tree(store: Store, root: Path, before: Side, after: Side) -> Difference:
     if after.plan:  # its files are not in the store
         files = [_file(file) for file in recorded_source_diff.changed(old.manifest, new.manifest)]
         return Difference("source", "tree", _line(files), was, now)
-    found = recorded_source_diff.between(old, new, root, lambda blob: _blob(store, blob))
+    changed = recorded_source_diff.between(old, new, root, lambda blob: _blob(store, blob))
     commits = _commits(root, before, after)
-    files = [_file(file, "content lost" if file.path in found.unknown else "binary") for file in found.files]
+    files = [_file(file, "content lost" if file.path in changed.unknown else "binary") for file in changed.files]
     line = f"{_line(files)}{_relation_text(commits, after)}"
-    unknown = [f"{path}: its content is neither in git nor in the store" for path in found.unknown]
+    unknown = [f"{path}: its content is neither in git nor in the store" for path in changed.unknown]
     more = files if len(files) > SHOWN else ()
     return Difference(
-        "source", "tree", line, was, now, lambda: (*more, *_logs(root, before, after, commits), *unknown, *found.lines)
+        "source", "tree", line, was, now, lambda: (*more, *_logs(root, before, after, commits), *unknown, *changed.lines)
     )
 
 
@@ -59,7 +59,7 @@ def _line(files: Sequence[str]) -> str:
     return f"source: {count}: {few(files, SHOWN)}"
 
 
-def _state(store: Store, side: Side) -> State:
+def _state(store: Store, side: ComparedRuns) -> State:
     """Return the source of a side. Raises NotFound, Damaged."""
     if side.spec.source and side.plan and side.plan.source:
         return State(side.spec.source, side.plan.source.manifest)
@@ -83,7 +83,7 @@ def _file(file: File, uncounted: str = "") -> str:
             return f"{file.path} ({parts})" if parts else file.path
 
 
-def exclusions(store: Store, before: Side, after: Side) -> Iterator[Difference]:
+def exclusions(store: Store, before: ComparedRuns, after: ComparedRuns) -> Iterator[Difference]:
     """Yield advice if the files that differ suggest to exclude them from the source."""
     if before.spec.source == after.spec.source:
         return
@@ -101,12 +101,12 @@ def _blob(store: Store, blob: str) -> bytes | None:
         return None
 
 
-def _commits(root: Path, before: Side, after: Side) -> Commits:
+def _commits(root: Path, before: ComparedRuns, after: ComparedRuns) -> Commits:
     was, now = (_commit(side) for side in (before, after))
     return commits_between.between(root, was, now) if was and now and was != now else Commits()
 
 
-def _relation_text(commits: Commits, after: Side) -> str:
+def _relation_text(commits: Commits, after: ComparedRuns) -> str:
     """Return a text about the commits between both sides, and about uncommitted changes of the later one."""
     parts = []
     if commits.on:
@@ -120,7 +120,7 @@ def _relation_text(commits: Commits, after: Side) -> str:
     return f"; {', '.join(parts)}" if parts else ""
 
 
-def _logs(root: Path, before: Side, after: Side, commits: Commits) -> Iterator[str]:
+def _logs(root: Path, before: ComparedRuns, after: ComparedRuns, commits: Commits) -> Iterator[str]:
     was, now = str(_commit(before)), str(_commit(after))
     for sign, count, ends in (("+", commits.on, (was, now)), ("-", commits.back, (now, was))):
         if count:
@@ -141,12 +141,12 @@ def _relation(commits: Commits) -> str:
     return f"neither commit is an ancestor of the other; common ancestor: {commits.base[:10] if commits.base else 'none'}"
 
 
-def has_commits(before: Side, after: Side) -> bool:
+def has_commits(before: ComparedRuns, after: ComparedRuns) -> bool:
     """Check whether the commits of both sides are recorded and their sources are the same."""
     return bool(before.source and after.source) and before.spec.source == after.spec.source
 
 
-def commit(root: Path, before: Side, after: Side) -> Iterator[Difference]:
+def commit(root: Path, before: ComparedRuns, after: ComparedRuns) -> Iterator[Difference]:
     """Yield a difference if the commits differ although the sources are the same."""
     was, now = (_commit(side) for side in (before, after))
     if was != now:
@@ -156,9 +156,9 @@ def commit(root: Path, before: Side, after: Side) -> Iterator[Difference]:
         yield Difference("commit", "commit", line, was, now, partial(_logs, root, before, after, commits))
 
 
-def _commit(side: Side) -> str | None:
+def _commit(side: ComparedRuns) -> str | None:
     return side.source.commit if side.source else None
 
 
-def _branch(side: Side) -> str:
+def _branch(side: ComparedRuns) -> str:
     return f" ({side.source.branch})" if side.source and side.source.branch else ""

@@ -17,9 +17,9 @@ from sierra.errors import Damaged, NotFound, SqlError
 from sierra.execution import targets
 from sierra.execution.plan import Plan
 from sierra.explain.diff import code, environment, images, query, run_inputs, used_files
-from sierra.explain.diff.load_sides import AFTER, BEFORE, Side, check, gather, of_batch, of_plan, pair, pair_runs
+from sierra.explain.diff.load_sides import AFTER, BEFORE, ComparedRuns, check, gather, of_batch, of_plan, pair, pair_runs
 from sierra.explain.diff.model import KINDS, Difference, Note, changed
-from sierra.store.store import Found, Snapshot, Store
+from sierra.store.store import ResolvedId, Snapshot, Store
 from sierra.util.lazy_definitions import dataclass
 
 
@@ -27,8 +27,8 @@ from sierra.util.lazy_definitions import dataclass
 class Comparison:
     """Result of a comparison: its two sides, and their differences."""
 
-    before: Found
-    after: Found
+    before: ResolvedId
+    after: ResolvedId
     differences: tuple[Difference, ...]
     """Differences by rank."""
     same: tuple[str, ...]
@@ -46,21 +46,21 @@ def compare(project: LoadedProject, store: Store, before: str, after: str, *, re
     check(old, new)
     if old == new:
         return Comparison(old, new, (), KINDS, (f"both are the same {old.kind}",))
-    found: list[Difference] = []
+    differing: list[Difference] = []
     notes = [Note(text) for text in targets.notes(project, store, new.batch or new.id)]
     project = targets.of_batch(project, store, new.batch or new.id)
     compared: set[str] = set()
     for kinds, differences in _parts(project, store, old, new, notes, results_too=results_too):
         try:
-            found += differences
+            differing += differences
             compared |= set(kinds)
         except (Damaged, NotFound, SqlError) as error:
             notes.append(Note(f"{kinds[0]} cannot be compared: {error}", kinds[0]))
-    compared -= {difference.kind for difference in found} | {note.kind for note in notes if note.kind}
+    compared -= {difference.kind for difference in differing} | {note.kind for note in notes if note.kind}
     return Comparison(
         before=old,
         after=new,
-        differences=tuple(sorted(found, key=lambda one: one.rank)),
+        differences=tuple(sorted(differing, key=lambda one: one.rank)),
         same=tuple(kind for kind in KINDS if kind in compared),
         notes=tuple(dict.fromkeys(note.text for note in notes)),
     )
@@ -88,13 +88,13 @@ def other_plan(plan: Plan, store: Store, batch: str) -> tuple[Difference, ...]:
     with store.snapshot() as snapshot:
         before, after = of_batch(snapshot, batch), of_plan(plan)
         parts = made_from(snapshot, store, plan.project.root, before, after, pair(before, after))
-        found = [
+        differing = [
             *chain.from_iterable(differences for _, differences in parts),
             *query.base_seed(before, after),
             *changed("inputs", "names", list(before.names), list(after.names), called="names of the input files"),
             *code.exclusions(store, before, after),
         ]
-    return tuple(sorted(found, key=lambda one: one.rank)) or (OTHER_SETTINGS,)
+    return tuple(sorted(differing, key=lambda one: one.rank)) or (OTHER_SETTINGS,)
 
 
 Part: TypeAlias = tuple[tuple[str, ...], Iterable[Difference]]
@@ -102,7 +102,7 @@ Part: TypeAlias = tuple[tuple[str, ...], Iterable[Difference]]
 
 
 def made_from(
-    snapshot: Snapshot, store: Store, root: Path, before: Side, after: Side, pairs: Sequence[tuple[int, int]]
+    snapshot: Snapshot, store: Store, root: Path, before: ComparedRuns, after: ComparedRuns, pairs: Sequence[tuple[int, int]]
 ) -> Iterator[Part]:
     """Yield the differences of everything that the runs of recorded batches and plans are made from, except their inputs.
 
@@ -125,7 +125,7 @@ NOT_EXECUTED = "{kind}: not compared, because no run was executed"
 
 
 def _parts(
-    project: LoadedProject, store: Store, old: Found, new: Found, notes: list[Note], *, results_too: bool
+    project: LoadedProject, store: Store, old: ResolvedId, new: ResolvedId, notes: list[Note], *, results_too: bool
 ) -> Iterator[Part]:
     with store.snapshot() as snapshot:
         snapshot.run("SET threads = 1")

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from sierra.containers import container_setup
 from sierra.execution.row_queries import used_distributions
-from sierra.explain.diff.load_sides import Side
+from sierra.explain.diff.load_sides import ComparedRuns
 from sierra.explain.diff.model import ARROW, Compared, Difference, changed, shown
 from sierra.provenance.dependency_model import INSTALLED, Identified, by_likelihood, mentioned, roles, versions
 from sierra.store.row_types import EnvironmentRow, IsolationRow, ProgramRow
@@ -23,7 +23,7 @@ Facts = Mapping[str, Compared]
 USED = "SELECT DISTINCT e.{what} AS id FROM {table} t JOIN all_judgements e ON e.judgement = t.execution"
 
 
-def programs(snapshot: Snapshot, before: Side, after: Side, root: Path) -> Iterator[Difference]:
+def programs(snapshot: Snapshot, before: ComparedRuns, after: ComparedRuns, root: Path) -> Iterator[Difference]:
     """Yield differences of programs by name; their paths are not compared.
 
     Versions that the command or its scripts in `root` name come first, then those that executions were observed to use.
@@ -98,7 +98,7 @@ def _versions(
             yield f"{was[0].path} {ARROW} {now[0].path}"
 
 
-def environments(snapshot: Snapshot, before: Side, after: Side) -> Iterator[Difference]:
+def environments(snapshot: Snapshot, before: ComparedRuns, after: ComparedRuns) -> Iterator[Difference]:
     """Yield differences of the machines by column, and of the runner, which is unknown for a killed session."""
     old, new = (
         _facts([row._asdict() for row in _environments(snapshot, side)], _runners(snapshot, side)) for side in (before, after)
@@ -118,12 +118,12 @@ def _common(values: Sequence[Compared]) -> Compared:
     return different[0] if len(different) == 1 else sorted(different, key=str)
 
 
-def _environments(snapshot: Snapshot, side: Side) -> list[EnvironmentRow]:
+def _environments(snapshot: Snapshot, side: ComparedRuns) -> list[EnvironmentRow]:
     statement = "SELECT * FROM environments WHERE list_contains($i, environment)"
     return snapshot.select(EnvironmentRow, statement, i=_used(snapshot, side, "environment"))
 
 
-def _runners(snapshot: Snapshot, side: Side) -> list[str]:
+def _runners(snapshot: Snapshot, side: ComparedRuns) -> list[str]:
     statement = (
         f"WITH used AS (SELECT DISTINCT e.session FROM {side.table} t JOIN all_judgements e ON e.judgement = t.execution) "  # noqa: S608
         "SELECT DISTINCT s.runner FROM sessions s JOIN used USING (session) UNION "
@@ -147,7 +147,7 @@ ISOLATION = {
 NOT_CONTAINED = "none (on the host)"
 
 
-def isolations(snapshot: Snapshot, before: Side, after: Side) -> Iterator[Difference]:
+def isolations(snapshot: Snapshot, before: ComparedRuns, after: ComparedRuns) -> Iterator[Difference]:
     """Yield differences of the isolation. An execution without a container has the engine `none`."""
     statement = "SELECT * FROM isolations WHERE list_contains($i, isolation)"
     old, new = (
@@ -167,12 +167,12 @@ def _isolation(row: IsolationRow) -> Facts:
     return {name: json.dumps(limits[name]) if name in limits else getattr(row, name) for name in ISOLATION}
 
 
-def executed(snapshot: Snapshot, side: Side) -> bool:
+def executed(snapshot: Snapshot, side: ComparedRuns) -> bool:
     """Check whether any of a side's runs was executed."""
     return bool(snapshot.run(f"SELECT 1 FROM {side.table} WHERE execution IS NOT NULL LIMIT 1"))  # noqa: S608 - our own names
 
 
-def rules(snapshot: Snapshot, before: Side, after: Side) -> Iterator[Difference]:
+def rules(snapshot: Snapshot, before: ComparedRuns, after: ComparedRuns) -> Iterator[Difference]:
     """Yield differences of the declarations of outputs and success."""
     yield from other_rules(snapshot, *(_used(snapshot, side, "ingest_rules") for side in (before, after)))
 
@@ -192,12 +192,12 @@ def _declared(snapshot: Snapshot, ids: Sequence[str]) -> list[str]:
     return snapshot.values(str, "SELECT declared FROM ingest_rules WHERE list_contains($i, ingest_rules)", i=list(ids))
 
 
-def known(snapshot: Snapshot, side: Side, what: str) -> bool:
+def known(snapshot: Snapshot, side: ComparedRuns, what: str) -> bool:
     """Check whether the store has the `what` of a side's executions, or of its last session."""
     return bool(_used(snapshot, side, what))
 
 
-def _used(snapshot: Snapshot, side: Side, what: str) -> list[str]:
+def _used(snapshot: Snapshot, side: ComparedRuns, what: str) -> list[str]:
     """Return the ids of `what` that a side's executions used; for a batch without executions, that of the last session."""
     found = [row[0] for row in snapshot.run(USED.format(what=what, table=side.table)) if row[0]]
     known = None if side.is_one or what == "isolation" else side.session and getattr(side.session, what)

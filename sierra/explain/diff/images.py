@@ -13,7 +13,7 @@ from sierra.containers.images import record
 from sierra.containers.images.diff import Change, files, packages
 from sierra.containers.images.image import AnyImage, ImageVariants, every
 from sierra.errors import Damaged, NotFound
-from sierra.explain.diff.load_sides import Side
+from sierra.explain.diff.load_sides import ComparedRuns
 from sierra.explain.diff.model import ARROW, Difference, changed
 from sierra.provenance.dependency_model import mentioned
 from sierra.store.row_types import ImageRow
@@ -25,7 +25,7 @@ DETAILS = 1000
 """Maximum number of packages or files in the details."""
 
 
-def image(snapshot: Snapshot, store: Store, before: Side, after: Side, root: Path) -> Iterator[Difference]:
+def image(snapshot: Snapshot, store: Store, before: ComparedRuns, after: ComparedRuns, root: Path) -> Iterator[Difference]:
     """Yield differences of the image (its id, packages, variables and files) and of the host access of runs."""
     was, now = (side.spec.image for side in (before, after))
     if was != now:
@@ -44,12 +44,12 @@ class _Images:
 
     def __init__(self, snapshot: Snapshot, store: Store, planned: AnyImage | None) -> None:
         self._snapshot, self._store = snapshot, store
-        self._names = {one.id: one.name for one in every(planned)}
+        self._names = {planned_image.id: planned_image.name for planned_image in every(planned)}
         self._rows: dict[str, ImageRow] = {}
         self._listings: dict[str | None, bytes] = {}
-        for one in every(planned):
-            if contents := images.contents(store.paths, one):
-                row = self._rows[one.id] = contents.row()
+        for planned_image in every(planned):
+            if contents := images.contents(store.paths, planned_image):
+                row = self._rows[planned_image.id] = contents.row()
                 self._listings[row.files] = contents.listing
         if isinstance(planned, ImageVariants):
             self._rows[planned.id] = record.row(planned)
@@ -78,11 +78,11 @@ def _by_processor(known: _Images, old: ImageRow, new: ImageRow, words: frozenset
         yield from _inside(known, old, new, words)
         return
     yield Difference("image", "variants", f"images by processor: {', '.join(record.changes(was, now))}", was, now)
-    for one in record.changed(was, now):
-        before, after = known.row(was[one]), known.row(now[one])
+    for processor in record.changed(was, now):
+        before, after = known.row(was[processor]), known.row(now[processor])
         if before and after:
             for difference in _inside(known, before, after, words):
-                yield replace(difference, line=f"{one}: {difference.line}")
+                yield replace(difference, line=f"{processor}: {difference.line}")
 
 
 def _inside(known: _Images, old: ImageRow, new: ImageRow, words: frozenset[str]) -> Iterator[Difference]:

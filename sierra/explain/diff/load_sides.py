@@ -16,7 +16,7 @@ from sierra.model import RunSpec, Value
 from sierra.store.recorded_files import ChosenExecution, Place, where
 from sierra.store.row_types import BatchRow, SessionRow, SourceRow, SpecRow
 from sierra.store.spec_rows import run_spec
-from sierra.store.store import Found, Snapshot
+from sierra.store.store import ResolvedId, Snapshot
 from sierra.store.view_sql import COUNTS, ORDER, latest
 from sierra.util.hashing import short
 from sierra.util.lazy_definitions import dataclass
@@ -27,10 +27,10 @@ ONE = ("run", "execution")
 
 
 @dataclass(frozen=True, slots=True)
-class Side:
+class ComparedRuns:
     """One side of a comparison."""
 
-    found: Found
+    found: ResolvedId
     table: str
     """Name of the table of its runs; empty if their executions are not compared.
 
@@ -68,7 +68,7 @@ class Side:
         return self.plan.target if self.plan else self.session.target if self.session else None
 
 
-def check(before: Found, after: Found) -> None:
+def check(before: ResolvedId, after: ResolvedId) -> None:
     """Check that two objects can be compared by their kinds. Raises UsageError."""
     if before.kind != after.kind and not (before.kind in ONE and after.kind in ONE):
         raise UsageError(
@@ -102,47 +102,47 @@ FROM one
 """
 
 
-def make_runs(snapshot: Snapshot, place: Place, table: str, *, good_first: bool = False, only: str = "") -> None:
+def make_runs(snapshot: Snapshot, origin: Place, table: str, *, good_first: bool = False, only: str = "") -> None:
     """Create the table of one side's runs; with `good_first`, prefer the last successful execution if none is effective."""
     snapshot.views.make(("sessions", "stale_sessions", "all_candidates", "origins"))
-    named = {} if place.execution is None else {"named": place.execution}
+    named = {} if origin.execution is None else {"named": origin.execution}
     statement = RUNS.format(
         table=table,
         latest=latest(),
-        only=place.only + only,
+        only=origin.only + only,
         order=ORDER,
         counts=f"coalesce({COUNTS}, false)",
         which="e.execution = $named" if named else "e.purpose = 'run'",
         best="counts, status IN ('ok', 'accepted'), " if good_first else "counts, ",
     )
-    snapshot.run(statement, {**place.parameters, **named})
+    snapshot.run(statement, {**origin.parameters, **named})
 
 
-def gather(snapshot: Snapshot, found: Found, table: str) -> Side:
+def gather(snapshot: Snapshot, found: ResolvedId, table: str) -> ComparedRuns:
     """Return everything that the store has about one side."""
     place = where(snapshot, found)
     make_runs(snapshot, place, table)
     return _recorded(snapshot, found, place.batch, table)
 
 
-def of_batch(snapshot: Snapshot, batch: str) -> Side:
+def of_batch(snapshot: Snapshot, batch: str) -> ComparedRuns:
     """Return everything that the store has about a batch, except executions of its runs."""
-    return _recorded(snapshot, Found("batch", batch, batch), batch)
+    return _recorded(snapshot, ResolvedId("batch", batch, batch), batch)
 
 
 RUNS_OF_BATCH = "(SELECT DISTINCT ordinal, number FROM batch_runs WHERE batch = $b)"
 
 
-def _recorded(snapshot: Snapshot, found: Found, batch_id: str, table: str = "") -> Side:
+def _recorded(snapshot: Snapshot, found: ResolvedId, batch_id: str, table: str = "") -> ComparedRuns:
     """Return a side of recorded runs: those in a table, or all of a batch."""
     snapshot.views.make(("batch_runs", "specs", "sources", "replays"))
     batch = required_row(BatchRow, snapshot, "SELECT * FROM batches WHERE batch = $b", b=batch_id)
     row = required_row(SpecRow, snapshot, "SELECT * FROM specs WHERE spec = $r", r=batch.spec)
     count = f"SELECT ordinal, count(*) FROM {table or RUNS_OF_BATCH} GROUP BY ordinal"  # noqa: S608 - our own names
     runs: dict[int, int] = dict(snapshot.run(count, {} if table else {"b": batch_id}))
-    cells = {place: cell for place, cell in snapshot.cells(batch_id).items() if place in runs}
+    cells = {position: cell for position, cell in snapshot.cells(batch_id).items() if position in runs}
     session = _session(snapshot, found, batch_id)
-    return Side(
+    return ComparedRuns(
         found=found,
         table=table,
         runs=sum(runs.values()),
@@ -156,11 +156,11 @@ def _recorded(snapshot: Snapshot, found: Found, batch_id: str, table: str = "") 
     )
 
 
-def of_plan(plan: Plan) -> Side:
+def of_plan(plan: Plan) -> ComparedRuns:
     """Return a plan as a side, which nothing was executed of."""
     batch = batch_row(plan)
-    return Side(
-        found=Found("batch", plan.batch.id, plan.batch.id),
+    return ComparedRuns(
+        found=ResolvedId("batch", plan.batch.id, plan.batch.id),
         table="",
         runs=len(plan.batch.runs),
         batch=batch,
@@ -168,8 +168,8 @@ def of_plan(plan: Plan) -> Side:
         names=plan.batch.runs[0].names,
         session=None,
         source=None,
-        experiments={one.ordinal: one.id for one in plan.batch.experiments},
-        cells={one.ordinal: {**_whole(batch), **one.values} for one in plan.batch.experiments},
+        experiments={experiment.ordinal: experiment.id for experiment in plan.batch.experiments},
+        cells={experiment.ordinal: {**_whole(batch), **experiment.values} for experiment in plan.batch.experiments},
         plan=plan,
     )
 
@@ -179,7 +179,7 @@ def _whole(batch: BatchRow) -> dict[str, Value]:
     return {name: value for name in ("controller", "scenario") if (value := getattr(batch, name)) is not None}
 
 
-def _session(snapshot: Snapshot, found: Found, batch: str) -> SessionRow | None:
+def _session(snapshot: Snapshot, found: ResolvedId, batch: str) -> SessionRow | None:
     if found.kind == "execution":
         of = "session = (SELECT session FROM executions WHERE execution = $i)"
         identity = found.id
@@ -206,7 +206,7 @@ FROM {before} b JOIN pairs p ON p.was = b.ordinal JOIN {after} a ON a.ordinal = 
 """
 
 
-def pair(before: Side, after: Side) -> list[tuple[int, int]]:
+def pair(before: ComparedRuns, after: ComparedRuns) -> list[tuple[int, int]]:
     """Return the experiments that both sides have, by their places.
 
     A single experiment is paired with the one that it is compared with. Some variables do not separate experiments: an axis
@@ -220,14 +220,14 @@ def pair(before: Side, after: Side) -> list[tuple[int, int]]:
     return [(ordinal, places[key]) for ordinal, key in keys.items() if key in places]
 
 
-def pair_runs(snapshot: Snapshot, before: Side, after: Side, pairs: Sequence[tuple[int, int]]) -> None:
+def pair_runs(snapshot: Snapshot, before: ComparedRuns, after: ComparedRuns, pairs: Sequence[tuple[int, int]]) -> None:
     """Create the temporary view `both_sides` of the runs of paired experiments."""
     snapshot.add_table("pairs", was=(was for was, _ in pairs), now=(now for _, now in pairs))
     same = "" if before.is_one else "AND a.number = b.number"
     snapshot.run(BOTH.format(before=before.table, after=after.table, same=same))
 
 
-def _telling(before: Side, after: Side) -> Iterator[str]:
+def _telling(before: ComparedRuns, after: ComparedRuns) -> Iterator[str]:
     """Yield the axes that distinguish experiments."""
     for name in dict.fromkeys((*before.batch.axes, *after.batch.axes)):
         values = [{cell.get(name) for cell in side.cells.values()} for side in (before, after)]
@@ -235,7 +235,7 @@ def _telling(before: Side, after: Side) -> Iterator[str]:
             yield name
 
 
-def chosen_executions(snapshot: Snapshot, side: Side, places: Sequence[tuple[int, int]]) -> list[ChosenExecution]:
+def chosen_executions(snapshot: Snapshot, side: ComparedRuns, places: Sequence[tuple[int, int]]) -> list[ChosenExecution]:
     """Return some of a side's runs, by their experiments' places and their numbers, in that order."""
     statement = f"SELECT run, own, status, execution FROM {side.table} WHERE ordinal = $o AND number = $n"  # noqa: S608
     found = []

@@ -140,7 +140,7 @@ def shown(value: object, digits: int = DIGITS) -> str:
         case float():
             return short_number(value, digits)
         case list() | tuple():
-            items = [shown(one) for one in value]
+            items = [shown(item) for item in value]
             return few(items, SHOWN if len(items) > MANY else MANY) or "nothing"
         case str():
             text = " ".join(value.split())
@@ -159,8 +159,8 @@ def _parts(was: Compared, now: Compared) -> Iterator[str]:
                     digits = digits_apart([old.get(key), new.get(key)])
                     yield f"{key} {_pair(old.get(key), new.get(key), digits)}"
         case list(), list() if len(was) + len(now) > 6:
-            more, less = ([one for one in a if one not in b] for a, b in ((now, was), (was, now)))
-            items = [*(f"+{shown(one)}" for one in more), *(f"−{shown(one)}" for one in less)]
+            more, less = ([item for item in a if item not in b] for a, b in ((now, was), (was, now)))
+            items = [*(f"+{shown(item)}" for item in more), *(f"−{shown(item)}" for item in less)]
             if items:
                 yield " ".join(items) if len(items) <= 12 else f"{len(more)} added and {len(less)} removed"
 

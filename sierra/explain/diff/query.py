@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Iterator, Sequence
 
 from sierra.execution import around
-from sierra.explain.diff.load_sides import Side
+from sierra.explain.diff.load_sides import ComparedRuns
 from sierra.explain.diff.model import ARROW, Difference, changed, shown
 from sierra.model import Value
 from sierra.store.row_types import SharedFileRow
@@ -18,7 +18,7 @@ QUOTED = frozenset(" \t\r\n\"'\\")
 """Characters that `shlex` does not read as a part of a word."""
 
 
-def query(before: Side, after: Side, pairs: Sequence[tuple[int, int]]) -> Iterator[Difference]:
+def query(before: ComparedRuns, after: ComparedRuns, pairs: Sequence[tuple[int, int]]) -> Iterator[Difference]:
     """Yield differences of axes, values, number of runs, controller, scenario and --set."""
     if before.found.kind == "batch":
         yield from changed("query", "axes", before.batch.axes, after.batch.axes)
@@ -42,18 +42,18 @@ def query(before: Side, after: Side, pairs: Sequence[tuple[int, int]]) -> Iterat
             yield Difference("query", "set", f"--set {change} {what}", was, now)
 
 
-def _whole(side: Side, name: str) -> Value | None:
+def _whole(side: ComparedRuns, name: str) -> Value | None:
     """Return a controller or a scenario if it is the same in all experiments, else None."""
     values = {cell.get(name) for cell in side.cells.values()}
     return values.pop() if len(values) == 1 else None
 
 
-def _runs(side: Side) -> int | float:
+def _runs(side: ComparedRuns) -> int | float:
     each = side.runs / max(1, len(side.cells))
     return int(each) if each.is_integer() else each
 
 
-def _values(before: Side, after: Side) -> Iterator[Difference]:
+def _values(before: ComparedRuns, after: ComparedRuns) -> Iterator[Difference]:
     """Yield differences of the values of the axes that both sides have."""
     for axis in before.batch.axes:
         if axis in after.batch.axes:
@@ -63,7 +63,7 @@ def _values(before: Side, after: Side) -> Iterator[Difference]:
                 yield Difference("query", axis, line, old, new, difference.details)
 
 
-def _cells(before: Side, after: Side, pairs: Sequence[tuple[int, int]]) -> Iterator[Difference]:
+def _cells(before: ComparedRuns, after: ComparedRuns, pairs: Sequence[tuple[int, int]]) -> Iterator[Difference]:
     """Yield a difference with the experiments that only one side has."""
     only = [
         [_called(side, ordinal) for ordinal in side.cells if ordinal not in shared]
@@ -75,11 +75,11 @@ def _cells(before: Side, after: Side, pairs: Sequence[tuple[int, int]]) -> Itera
         yield Difference("query", "experiments", line, only[0], only[1], details)
 
 
-def _called(side: Side, ordinal: int) -> str:
+def _called(side: ComparedRuns, ordinal: int) -> str:
     return " ".join(f"{name}={shown(side.cells[ordinal][name])}" for name in side.batch.axes)
 
 
-def spec(before: Side, after: Side) -> Iterator[Difference]:
+def spec(before: ComparedRuns, after: ComparedRuns) -> Iterator[Difference]:
     """Yield differences of the spec, without source and image, and for batches of the template."""
     old, new = before.spec, after.spec
     yield from changed("platform", "platform", old.platform, new.platform)
@@ -99,7 +99,7 @@ def _line(words: Sequence[str]) -> str:
     return " ".join(word if word and not set(word) & QUOTED else shlex.quote(word) for word in words)
 
 
-def _template(before: Side, after: Side) -> Iterator[Difference]:
+def _template(before: ComparedRuns, after: ComparedRuns) -> Iterator[Difference]:
     was, now = (side.batch.template_sha256 for side in (before, after))
     if was != now and before.batch.template and after.batch.template:
         yield Difference("template", "sha256", f"template: {after.batch.template} has changed", was, now)
@@ -108,7 +108,7 @@ def _template(before: Side, after: Side) -> Iterator[Difference]:
 BESIDE = "SELECT * FROM shared_files WHERE shared = $s ORDER BY name"
 
 
-def files_beside(snapshot: Snapshot, before: Side, after: Side) -> Iterator[Difference]:
+def files_beside(snapshot: Snapshot, before: ComparedRuns, after: ComparedRuns) -> Iterator[Difference]:
     """Yield a difference for each file beside the inputs (`files` in `sierra.toml`) that differs."""
     was, now = ({row.name: row for row in _beside(snapshot, side)} for side in (before, after))
     for name in sorted(was.keys() | now.keys()):
@@ -122,20 +122,20 @@ def files_beside(snapshot: Snapshot, before: Side, after: Side) -> Iterator[Diff
             yield Difference("inputs", name, f"file beside the inputs: {name} {word}")
 
 
-def _beside(snapshot: Snapshot, side: Side) -> Sequence[SharedFileRow]:
+def _beside(snapshot: Snapshot, side: ComparedRuns) -> Sequence[SharedFileRow]:
     if side.plan:
         return side.plan.shared_files
     snapshot.views.make(("shared_files",))
     return snapshot.select(SharedFileRow, BESIDE, s=side.spec.shared_files or "")
 
 
-def base_seed(before: Side, after: Side) -> Iterator[Difference]:
+def base_seed(before: ComparedRuns, after: ComparedRuns) -> Iterator[Difference]:
     """Yield the difference of the base seed of two batches or experiments."""
     if not before.is_one:
         yield from changed("seed", "base", before.batch.base_seed, after.batch.base_seed, called="base seed")
 
 
-def seeds(snapshot: Snapshot, before: Side) -> Iterator[Difference]:
+def seeds(snapshot: Snapshot, before: ComparedRuns) -> Iterator[Difference]:
     """Yield the difference of the seeds of paired runs."""
     [(count, others, was, now)] = snapshot.run(
         "SELECT count(*), count(*) FILTER (was_seed <> now_seed), "

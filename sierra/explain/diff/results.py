@@ -18,7 +18,7 @@ from sierra.config.output_tables import Output
 from sierra.config.project_file import LoadedProject
 from sierra.deliverables import run_statistics
 from sierra.errors import SierraError
-from sierra.explain.diff.load_sides import Side
+from sierra.explain.diff.load_sides import ComparedRuns
 from sierra.explain.diff.model import ARROW, Difference, Note, changed, shown
 from sierra.ingest.recording_context import rules_of
 from sierra.replay import compare_outputs
@@ -45,7 +45,7 @@ SHOWN = 8
 
 
 def of_one(
-    snapshot: Snapshot, store: Store, project: LoadedProject, before: Side, after: Side, notes: list[Note]
+    snapshot: Snapshot, store: Store, project: LoadedProject, before: ComparedRuns, after: ComparedRuns, notes: list[Note]
 ) -> Iterator[Difference]:
     """Yield the differences of two executions: their status, and each output."""
     was, now = (_execution(snapshot, side) for side in (before, after))
@@ -70,11 +70,11 @@ class Judged(NamedTuple):
 JUDGED = "SELECT e.judgement, e.ingest_rules, e.status, e.reason FROM all_judgements e"
 
 
-def _execution(snapshot: Snapshot, side: Side) -> Judged | None:
+def _execution(snapshot: Snapshot, side: ComparedRuns) -> Judged | None:
     return next(iter(snapshot.select(Judged, f"{JUDGED} JOIN {side.table} t ON t.execution = e.judgement")), None)
 
 
-def good(snapshot: Snapshot, before: Side, after: Side) -> Iterator[Difference]:
+def good(snapshot: Snapshot, before: ComparedRuns, after: ComparedRuns) -> Iterator[Difference]:
     """Yield a difference if the numbers of runs with an effective execution differ."""
     was, now = (
         snapshot.run(f"SELECT count(*) FILTER (counts) FROM {side.table}")[0][0]  # noqa: S608 - our own names
@@ -167,10 +167,10 @@ def of_shared(snapshot: Snapshot, store: Store, project: LoadedProject, notes: l
     differing = 0
     looked = snapshot.select(Other, OTHERS, most=LOOKED_AT)
     for row in looked:
-        [was, now] = (snapshot.select(Judged, f"{JUDGED} WHERE judgement = $e", e=one)[0] for one in (row.was, row.now))
-        found = list(_outputs(snapshot, store, project, was, now, notes, f"run {short(row.run)}: "))
-        differing += bool(found)
-        details += [difference.line.removeprefix("results: ") for difference in found]
+        [was, now] = (snapshot.select(Judged, f"{JUDGED} WHERE judgement = $e", e=judged)[0] for judged in (row.was, row.now))
+        differences = list(_outputs(snapshot, store, project, was, now, notes, f"run {short(row.run)}: "))
+        differing += bool(differences)
+        details += [difference.line.removeprefix("results: ") for difference in differences]
     if differing or others > len(looked):
         line = f"results: {others} of {counted(count, 'run')} in both wrote different bytes"
         yield Difference("results", "runs", line, None, others, tuple(details))
@@ -190,8 +190,8 @@ class Mean:
 def means(
     store: Store,
     project: LoadedProject,
-    before: Side,
-    after: Side,
+    before: ComparedRuns,
+    after: ComparedRuns,
     chosen: Sequence[tuple[int, int]],
     rows: int,
     notes: list[Note],
@@ -248,17 +248,17 @@ def rows(snapshot: Snapshot) -> int:
     return count
 
 
-def _columns(store: Store, project: LoadedProject, before: Side, after: Side) -> dict[str, list[str]]:
+def _columns(store: Store, project: LoadedProject, before: ComparedRuns, after: ComparedRuns) -> dict[str, list[str]]:
     """Return the numeric columns that both sides wrote, by output, without time columns."""
-    found = []
+    written = []
     for side in (before, after):
         with Frame(store, side.batch.batch) as frame:
-            found.append({table.name: table.columns for table in frame.outputs(frame.written)})
+            written.append({table.name: table.columns for table in frame.outputs(frame.written)})
     times = {name: output.time for name, output in project.config.outputs.items()}
     return {
-        name: [one for one in columns if one in found[1][name] and not _is_time(one, times.get(name))]
-        for name, columns in found[0].items()
-        if name in found[1]
+        name: [column for column in columns if column in written[1][name] and not _is_time(column, times.get(name))]
+        for name, columns in written[0].items()
+        if name in written[1]
     }
 
 
@@ -266,7 +266,7 @@ def _is_time(column: str, declared: str | None) -> bool:
     return column == declared or names_time(column)
 
 
-def _means(project: LoadedProject, store: Store, side: Side, output: str, column: str) -> dict[int, Mean]:
+def _means(project: LoadedProject, store: Store, side: ComparedRuns, output: str, column: str) -> dict[int, Mean]:
     """Return the statistics of a column by the experiment's place."""
     table = run_statistics.statistics(project, store, side.batch.batch, output, column, "final").table
     names = ("experiment", "n", "mean", "sd", "low", "high", "interval")
@@ -278,18 +278,21 @@ def _means(project: LoadedProject, store: Store, side: Side, output: str, column
     }
 
 
+Means = Mapping[int, Mean]
+
+
 def _apart(
-    before: Side, pairs: Sequence[tuple[int, int]], old: Mapping[int, Mean], new: Mapping[int, Mean], output: str, column: str
+    before: ComparedRuns, pairs: Sequence[tuple[int, int]], old: Means, new: Means, output: str, column: str
 ) -> Iterator[Difference]:
     both = [(was, old[was], new[now]) for was, now in pairs if was in old and now in new]
-    other = [one for one in both if one[1].mean != one[2].mean]
+    other = [pair for pair in both if pair[1].mean != pair[2].mean]
     if not other:
         return
     lines, beyond = [], 0
-    for place, was, now in other:
+    for ordinal, was, now in other:
         interval = newcombe(was, now) or welch(was, now)
         beyond += interval is not None and not interval[0] <= 0 <= interval[1]
-        lines.append(f"{_where(before, place)}: {_compared(was, now, interval)}")
+        lines.append(f"{_where(before, ordinal)}: {_compared(was, now, interval)}")
     called = f"results: mean of {column} ({output}, at the end)"
     if len(both) == 1:
         line = f"{called}: {lines[0].removeprefix(f'{_where(before, other[0][0])}: ')}"
@@ -303,7 +306,7 @@ def _apart(
     )
 
 
-def _where(side: Side, place: int) -> str:
+def _where(side: ComparedRuns, place: int) -> str:
     values = {name: value for name, value in side.cells[place].items() if name in side.batch.axes}
     return " ".join(f"{name}={shown(value)}" for name, value in values.items())
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 
 from sierra.errors import Damaged
-from sierra.explain.diff.load_sides import Side, chosen_executions
+from sierra.explain.diff.load_sides import ComparedRuns, chosen_executions
 from sierra.explain.diff.model import ARROW, Difference, Note, shown
 from sierra.model import Value
 from sierra.store.recorded_files import INPUT_FOLDER, ChosenExecution, Recorded, contents, recorded
@@ -35,7 +35,7 @@ class _Pair:
     files: tuple[Mapping[str, Recorded], Mapping[str, Recorded]]
 
 
-def inputs(snapshot: Snapshot, before: Side, after: Side, notes: list[Note]) -> Iterator[Difference]:
+def inputs(snapshot: Snapshot, before: ComparedRuns, after: ComparedRuns, notes: list[Note]) -> Iterator[Difference]:
     """Yield the differences of input files; `notes` receives what could not be compared."""
     [(others, runs)] = snapshot.run("SELECT count(*) FILTER (other_input), count(*) FROM both_sides")
     if not others:
@@ -43,21 +43,21 @@ def inputs(snapshot: Snapshot, before: Side, after: Side, notes: list[Note]) -> 
     pairs = _sample(snapshot, before, after)
     content = _read(snapshot, [file for pair in pairs for files in pair.files for file in files.values()], notes)
     looked = [pair for pair in pairs if all(file.sha256 in content for files in pair.files for file in files.values())]
-    found: dict[tuple[str, str], list[tuple[_Pair, Spot]]] = {}
+    by_spot: dict[tuple[str, str], list[tuple[_Pair, Spot]]] = {}
     for pair in looked:
         for name in dict.fromkeys((*pair.files[0], *pair.files[1])):
             for spot in _spots(name, pair, content):
-                found.setdefault((name, spot.path), []).append((pair, spot))
+                by_spot.setdefault((name, spot.path), []).append((pair, spot))
     read = counted(len(looked), "run") if len(looked) == others else f"{counted(len(looked), 'run')} that could be read"
     several = any(len(files) > 1 for pair in pairs for files in pair.files)
-    for (name, _), occurrences in found.items():
+    for (name, _), occurrences in by_spot.items():
         yield _difference(f"{name}: " if several else "", occurrences, len(looked), read, before, after)
     if len(looked) < others:
         text = f"inputs differ in {others} of {counted(runs, 'compared run')}; read: {len(looked)} of them"
         notes.append(Note(text, "inputs"))
 
 
-def _sample(snapshot: Snapshot, before: Side, after: Side) -> list[_Pair]:
+def _sample(snapshot: Snapshot, before: ComparedRuns, after: ComparedRuns) -> list[_Pair]:
     rows = snapshot.run(SAMPLE, {"most": LOOKED_AT})
     old_files = _files(snapshot, chosen_executions(snapshot, before, [(row[0], row[1]) for row in rows]))
     new_files = _files(snapshot, chosen_executions(snapshot, after, [(row[2], row[3]) for row in rows]))
@@ -83,16 +83,16 @@ def _read(snapshot: Snapshot, files: Sequence[Recorded], notes: list[Note]) -> d
         if file.sha256 not in wanted and size + (file.bytes or 0) <= READ:
             wanted[file.sha256] = file
             size += file.bytes or 0
-    found: dict[str | None, bytes] = {}
+    contents_by_hash: dict[str | None, bytes] = {}
     lost: list[str] = []
     for content in contents(snapshot, list(wanted.values())):
         try:
-            found[content.file.sha256] = b"".join(content.pieces)
+            contents_by_hash[content.file.sha256] = b"".join(content.pieces)
         except Damaged as error:
             lost.append(f"{content.file.path} of run {content.file.taken.run[:10]}: {error}")
     if lost:
         notes.append(Note(f"{lost[0]}{f'; and {len(lost) - 1} more input files' * (len(lost) > 1)}", "inputs"))
-    return found
+    return contents_by_hash
 
 
 def _spots(name: str, pair: _Pair, content: Mapping[str | None, bytes]) -> Iterator[Spot]:
@@ -106,7 +106,7 @@ def _spots(name: str, pair: _Pair, content: Mapping[str | None, bytes]) -> Itera
 
 
 def _difference(
-    name: str, occurrences: Sequence[tuple[_Pair, Spot]], looked: int, read: str, before: Side, after: Side
+    name: str, occurrences: Sequence[tuple[_Pair, Spot]], looked: int, read: str, before: ComparedRuns, after: ComparedRuns
 ) -> Difference:
     """Return the difference at one place of the input, in all pairs of runs in which it differs."""
     first = occurrences[0][1]
@@ -143,7 +143,7 @@ def _is_seed(pair: _Pair, spot: Spot) -> bool:
     return pair.seeds[0] != pair.seeds[1] and (spot.was, spot.now) == tuple(map(str, pair.seeds))
 
 
-def _is_requested(pair: _Pair, spot: Spot, before: Side, after: Side) -> bool:
+def _is_requested(pair: _Pair, spot: Spot, before: ComparedRuns, after: ComparedRuns) -> bool:
     """Check whether a difference follows from the values of the two experiments, or from a --set that only one side has."""
     was, now = pair.values
     for name in was.keys() & now.keys():

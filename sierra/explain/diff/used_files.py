@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple
 
 from sierra.errors import Damaged, NotFound
-from sierra.explain.diff.load_sides import Side
+from sierra.explain.diff.load_sides import ComparedRuns
 from sierra.explain.diff.model import Difference
 from sierra.provenance import source
 from sierra.store.store import Snapshot, Store
@@ -29,7 +29,7 @@ WHERE f.use IN ('executed', 'read') GROUP BY ALL
 OBSERVED = "SELECT 1 FROM {table} t JOIN observations o ON o.execution = t.own WHERE o.reason IS NULL LIMIT 1"
 
 
-def is_known(snapshot: Snapshot, side: Side) -> bool:
+def is_known(snapshot: Snapshot, side: ComparedRuns) -> bool:
     """Check whether an execution of this side was observed completely."""
     if not snapshot.holds("observations"):
         return False
@@ -37,7 +37,7 @@ def is_known(snapshot: Snapshot, side: Side) -> bool:
     return bool(snapshot.run(OBSERVED.format(table=side.table)))
 
 
-def files(snapshot: Snapshot, store: Store, before: Side, after: Side) -> Iterator[Difference]:
+def files(snapshot: Snapshot, store: Store, before: ComparedRuns, after: ComparedRuns) -> Iterator[Difference]:
     """Yield the difference of the files that the executions of two sides executed or read; at most one.
 
     Files in which the sources differ are left out: they are reported as such.
@@ -56,7 +56,7 @@ def files(snapshot: Snapshot, store: Store, before: Side, after: Side) -> Iterat
         yield Difference("files", "used", "files that executions used: " + "; ".join(parts))
 
 
-def _of_source(store: Store, before: Side, after: Side) -> set[str]:
+def _of_source(store: Store, before: ComparedRuns, after: ComparedRuns) -> set[str]:
     """Return the names of the files in which the sources of two sides differ; none if that is unknown."""
     if before.source is None or after.source is None:
         return set()

@@ -14,7 +14,7 @@ from xml.sax.saxutils import quoteattr
 from sierra.design.query import ranges
 from sierra.util.lazy_definitions import dataclass
 
-_MICROMETRE = Fraction(1, 10**6)
+MICROMETRE = Fraction(1, 10**6)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,4 +72,4 @@ def _grid(count: int, space: Box) -> tuple[int, int]:
 
 def _edges(low: Fraction, high: Fraction, count: int) -> list[str]:
     exact = (low + (high - low) * Fraction(n, count) for n in range(count + 1))
-    return [ranges.plain(round(edge / _MICROMETRE) * _MICROMETRE) for edge in exact]
+    return [ranges.plain(round(edge / MICROMETRE) * MICROMETRE) for edge in exact]

@@ -15,7 +15,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field, NonNegativeInt, PositiveInt, StringConstraints
 
 from sierra.config.capture_table import Capture
-from sierra.config.field_types import Table
+from sierra.config.field_types import Positive, Table
 from sierra.config.project_file import Project
 from sierra.design.platforms.base import Reader, Rendering
 from sierra.design.query import ranges
@@ -34,10 +34,10 @@ from sierra.model import (
     Rename,
     Scale,
     Set,
-    Value,
     VariableDensity,
 )
 from sierra.util.lazy_definitions import dataclass, regex
+from sierra.util.text import short_number
 
 TABLE = "[platforms.argos]"
 PLACEHOLDER = "__CONTROLLER__"
@@ -49,6 +49,7 @@ INPUT = "input.argos"
 
 ROOT = "/argos-configuration"
 EXPERIMENT = f"{ROOT}/framework/experiment"
+LENGTH, RATE = f"{EXPERIMENT}/@length", f"{EXPERIMENT}/@ticks_per_second"
 SYSTEM = f"{ROOT}/framework/system"
 ARENA = f"{ROOT}/arena"
 ROBOTS = f"{ARENA}//*[controller]"
@@ -73,27 +74,21 @@ CRITERIA: Mapping[str, str] = {
 _SIDE = r"([0-9]{1,9}(?:\.[0-9]{1,9})?)"
 _SIZE = f"{_SIDE}x{_SIDE}(?:x{_SIDE})?"
 _NUMBER = regex(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,2})?")
-_MICROMETRE = Fraction(1, 10**6)
-
-_TAG = r"^[A-Za-z_][A-Za-z0-9_.-]*$"
+Tag = Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][A-Za-z0-9_.-]*$")]
 Vector = tuple[Fraction, Fraction, Fraction]
 
 
 class SpatialHash(Table):
     """The grid in which `dynamics2d` looks for collisions; without it, ARGoS uses a tree of bounding boxes."""
 
-    cell_size: Annotated[float, Field(gt=0, allow_inf_nan=False)] = Field(
-        description="size of a cell in metres, such as the size of a robot"
-    )
+    cell_size: Positive = Field(description="size of a cell in metres, such as the size of a robot")
     cell_num: PositiveInt = Field(description="number of cells, at least ten times the number of objects")
 
 
 class ArgosOptions(Table):
     """The options of ARGoS."""
 
-    length: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = Field(
-        None, description="length of a run in seconds; default: as in the template"
-    )
+    length: Positive | None = Field(None, description="length of a run in seconds; default: as in the template")
     ticks_per_second: PositiveInt | None = Field(None, description="ticks per simulated second; default: as in the template")
     threads: NonNegativeInt = Field(0, description="additional threads of one run; 0: only the main thread")
     visualization: bool = Field(False, description="whether to keep the template's visualization")
@@ -111,14 +106,14 @@ class ArgosOptions(Table):
     physics_engines: Annotated[int, Field(ge=2, le=1000)] | None = Field(
         None, description="number of physics engines that share the arena in equal parts; default: as in the template"
     )
-    physics_type: Annotated[str, StringConstraints(pattern=_TAG)] | None = Field(
+    physics_type: Tag | None = Field(
         None, description="type of the physics engine, such as dynamics2d; default: as in the template"
     )
     physics_iterations: PositiveInt | None = Field(
         None, description="iterations of the physics engines per tick; default: as in the template"
     )
     spatial_hash: SpatialHash | None = Field(None, description="spatial hash of the physics engines dynamics2d")
-    remove_devices: tuple[Annotated[str, StringConstraints(pattern=_TAG)], ...] = Field(
+    remove_devices: tuple[Tag, ...] = Field(
         (),
         description="tags of sensors, actuators and parts of robots to remove because controllers do not use them, such as "
         "`range_and_bearing`, `leds` or `battery`; a medium that only they use is removed too",
@@ -126,13 +121,11 @@ class ArgosOptions(Table):
     libraries: tuple[str, ...] = Field(
         ("build",), description="folders of the project that contain the libraries of the template"
     )
-    cameras: Mapping[Annotated[str, StringConstraints(pattern=_TAG)], frames.Camera] = Field(
+    cameras: Mapping[Tag, frames.Camera] = Field(
         default_factory=dict,
         description="cameras for `sierra video --capture`, by name; `overhead`, `corner` and `around` are always there",
     )
-    label: Annotated[str, StringConstraints(pattern=_TAG)] | None = Field(
-        None, description=f"tag that replaces {PLACEHOLDER}; default: the controller's name"
-    )
+    label: Tag | None = Field(None, description=f"tag that replaces {PLACEHOLDER}; default: the controller's name")
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,7 +227,7 @@ class Argos:
         """Return the changes that fit walls and distributed robots to an arena that changed, if nobody else moved them."""
         parts = (f"({self._options.walls})/@*", f"({self._options.walls})/body/@*", f"{BOXES}/@*", f"{BOUNDARIES}//@*")
         engines = self._shared(document)
-        if not _is_valid(base) or not _has_other_edges(document, base) or base.find(BOUNDARIES):
+        if _edges(base) is None or not _has_other_edges(document, base) or base.find(BOUNDARIES):
             return engines
         if any(document.find(path) != base.find(path) for path in parts):
             return engines
@@ -268,9 +261,9 @@ class Argos:
 
         def changes(document: Reader) -> tuple[Change, ...]:
             center, sides = (tuple(map(float, one)) for one in (_center(document), _vector(document, f"{ARENA}/@size")))
-            rate = _ticks_per_second(document)
+            rate = _number_at(document, RATE)
             every = max(1, round((capture.interval or 0) * rate))
-            ticks = math.ceil(_number(_at_most_one(document, f"{EXPERIMENT}/@length") or "0", "length") * rate)
+            ticks = math.ceil(_number_at(document, LENGTH) * rate)
             cameras = self._options.cameras
             return tuple(frames.changes(document, capture, cameras, center, sides, ticks, every))  # type: ignore[arg-type]
 
@@ -278,53 +271,44 @@ class Argos:
             tuple(word for word in command if word not in NO_VISUALIZATION),
             frames.FILES,
             changes,
-            ticks_per_second=lambda document: float(_ticks_per_second(document)),
+            ticks_per_second=lambda document: float(_number_at(document, RATE)),
             display=frames.window(capture.size),
         )
 
-    def _length(self) -> tuple[Change, ...]:
-        wanted = {"length": self._options.length, "ticks_per_second": self._options.ticks_per_second}
-        return tuple(
-            Set(EXPERIMENT, _float(value), attribute=name, expect=1, why=f"{TABLE} {name}")
-            for name, value in wanted.items()
-            if value is not None
-        )
+    def _length(self) -> Iterator[Change]:
+        for name in ("length", "ticks_per_second"):
+            if (value := getattr(self._options, name)) is not None:
+                yield Set(EXPERIMENT, short_number(value, 17), attribute=name, expect=1, why=f"{TABLE} {name}")
 
-    def _threads(self, template: Reader) -> tuple[Change, ...]:
-        threads, why = str(self._options.threads), f"{TABLE} threads"
-        if not template.find(SYSTEM):
-            added = Add(f"{ROOT}/framework", f'<system threads="{threads}"/>', at=0, expect=1, why=why)
-            return (added,) if self._options.threads else ()
-        return (Set(SYSTEM, threads, attribute="threads", expect=1, why=why),)
+    def _threads(self, template: Reader) -> Iterator[Change]:
+        threads, why = self._options.threads, f"{TABLE} threads"
+        if template.find(SYSTEM):
+            yield Set(SYSTEM, str(threads), attribute="threads", expect=1, why=why)
+        elif threads:
+            yield Add(f"{ROOT}/framework", f'<system threads="{threads}"/>', at=0, expect=1, why=why)
 
     def _controller(self, template: Reader) -> tuple[Change, ...]:
-        tags, attributes = f"//{PLACEHOLDER}", f"//@*[. = '{PLACEHOLDER}']"
-        changes: list[Change] = []
-        if template.find(attributes):
-            changes.append(Set(attributes, "{controller}", why=WHY_CONTROLLER))
-        if template.find(tags):
-            changes.append(Rename(tags, self._options.label or "{controller}", why=WHY_CONTROLLER))
-        return tuple(changes)
+        name = Set(f"//@*[. = '{PLACEHOLDER}']", "{controller}", why=WHY_CONTROLLER)
+        tag = Rename(f"//{PLACEHOLDER}", self._options.label or "{controller}", why=WHY_CONTROLLER)
+        return tuple(change for change in (name, tag) if template.find(change.path))
 
     def _visualization(self, template: Reader) -> tuple[Change, ...]:
-        path = f"{ROOT}/visualization"
-        if self._options.visualization or not template.find(path):
-            return ()
-        return (Remove(path, why=f"{TABLE} visualization"),)
+        unwanted = not self._options.visualization and template.find(frames.VISUALIZATION)
+        return (Remove(frames.VISUALIZATION, why=f"{TABLE} visualization"),) if unwanted else ()
 
     def _without_devices(self, template: Reader) -> Iterator[Change]:
         """Yield the changes that remove devices, and the media that only these use."""
         why = f"{TABLE} remove_devices"
         places = [_device(name) for name in self._options.remove_devices]
-        for name, place in zip(self._options.remove_devices, places, strict=True):
-            if not template.find(place):
+        for name, path in zip(self._options.remove_devices, places, strict=True):
+            if not template.find(path):
                 raise TemplateError(f"{why}: the template has no sensor, actuator or part of a robot {name!r}; leave it out")
         for medium in dict.fromkeys(template.find(f"{ROOT}/media/*/@id") if places else ()):
             uses = f"@medium[. = {_literal(medium)}]"
-            removed = sum(len(template.find(" | ".join(f"{one}/{uses}" for one in place.split(" | ")))) for place in places)
+            removed = sum(len(template.find(" | ".join(f"{part}/{uses}" for part in path.split(" | ")))) for path in places)
             if removed and removed == len(template.find(f"//{uses}")):
                 yield Remove(f"{ROOT}/media/*[@id = {_literal(medium)}]", why=why)
-        yield from (Remove(place, why=why) for place in places)
+        yield from (Remove(path, why=why) for path in places)
 
     def _physics(self, template: Reader) -> Iterator[Change]:
         """Yield the changes of the template's physics engines that do not depend on the arena."""
@@ -336,7 +320,7 @@ class Argos:
             why = f"{TABLE} spatial_hash"
             if template.find(f"{ENGINES}/spatial_hash"):
                 yield Remove(f"{ENGINES}/spatial_hash", why=why)
-            cells = f'cell_size="{_float(hashed.cell_size)}" cell_num="{hashed.cell_num}"'
+            cells = f'cell_size="{short_number(hashed.cell_size, 17)}" cell_num="{hashed.cell_num}"'
             yield Add(ENGINES, f"<spatial_hash {cells}/>", at=0, why=why)
         if options.physics_type:
             yield Rename(ENGINES, options.physics_type, why=f"{TABLE} physics_type")
@@ -407,10 +391,10 @@ class Argos:
     def _population(self, template: Reader) -> str:
         """Return the XPath of the one attribute that holds the number of robots."""
         path = self._options.population or POPULATION
-        found = len(template.find(path))
-        if found != 1 or (not self._options.population and len(template.find(ROBOTS)) != 1):
+        selected = len(template.find(path))
+        if selected != 1 or (not self._options.population and len(template.find(ROBOTS)) != 1):
             raise TemplateError(
-                f"the template must have exactly one kind of robots, and distribute it ({path} selects {found}); "
+                f"the template must have exactly one kind of robots, and distribute it ({path} selects {selected}); "
                 f"set population in {TABLE} to the XPath of one quantity"
             )
         if template.find(f"({path})/self::*"):
@@ -507,27 +491,19 @@ def _check_folder(folder: str) -> None:
         raise ConfigError(f'{TABLE}: libraries: {folder!r} is not a folder in the project; use one such as ["build"]')
 
 
-def _ticks_per_second(document: Reader) -> Fraction:
-    path = f"{EXPERIMENT}/@ticks_per_second"
-    return _number(_at_most_one(document, path) or "0", path)
-
-
 def _check_length(document: Reader) -> None:
     if len(document.find(EXPERIMENT)) != 1:
         raise TemplateError(f"the template must have exactly one {EXPERIMENT}; ARGoS needs it")
-    length = _at_most_one(document, f"{EXPERIMENT}/@length") or "0"
-    ticks = _at_most_one(document, f"{EXPERIMENT}/@ticks_per_second")
-    if ticks is None:
+    length = _at_most_one(document, LENGTH) or "0"
+    if _at_most_one(document, RATE) is None:
         raise TemplateError(f"{EXPERIMENT} has no ticks_per_second; add it, or set it in {TABLE}")
-    count = _number(length, f"{EXPERIMENT}/@length") * _number(ticks, f"{EXPERIMENT}/@ticks_per_second")
+    count = _number(length, LENGTH) * _number_at(document, RATE)
     if count < 1:
         raise TemplateError(
-            f"{EXPERIMENT}/@length is {length!r}, less than one tick, so the run would never end; set length = 300 in {TABLE}"
+            f"{LENGTH} is {length!r}, less than one tick, so the run would never end; set length = 300 in {TABLE}"
         )
     if count > LARGEST:
-        raise TemplateError(
-            f"{EXPERIMENT}/@length is {length!r}, which is more than the {LARGEST} ticks that ARGoS can count; use fewer"
-        )
+        raise TemplateError(f"{LENGTH} is {length!r}, which is more than the {LARGEST} ticks that ARGoS can count; use fewer")
 
 
 def _check_threads(document: Reader) -> None:
@@ -547,7 +523,7 @@ def _quantity(path: str, population: int, why: str) -> Set:
     return Set(path, str(population), expect=1, why=why)
 
 
-def _whole(name: str, value: Value) -> int:
+def _whole(name: str, value: float | str) -> int:
     if isinstance(value, str):
         raise QueryError(f"{name}: {value!r} is not a number of robots; use {name}=1,2,4")
     number = Fraction(value)
@@ -675,11 +651,7 @@ def _has_other_edges(document: Reader, template: Reader) -> bool:
     paths = (f"{ARENA}/@size", f"{ARENA}/@center")
     if all(document.find(path) == template.find(path) for path in paths):
         return False
-    now = _space(_center(document), _arena_size(document))
-    try:
-        return now != _space(_center(template), _arena_size(template))
-    except TemplateError:  # the template's arena is invalid, and changes corrected it
-        return True
+    return _space(_center(document), _arena_size(document)) != _edges(template)
 
 
 def _device(name: str) -> str:
@@ -713,13 +685,12 @@ def _box(document: Reader, center: Vector | None = None) -> physics.Box:
     )
 
 
-def _is_valid(base: Reader) -> bool:
-    """Return False if the template's arena is missing or invalid, so that nothing can follow it."""
+def _edges(template: Reader) -> Space | None:
+    """Return the range of an arena; None if the template's arena is missing or invalid, which changes may correct."""
     try:
-        _space(_center(base), _arena_size(base))
+        return _space(_center(template), _arena_size(template))
     except TemplateError:
-        return False
-    return True
+        return None
 
 
 def _stretched(template: Reader, before: Space, after: Space, why: str) -> tuple[Change, ...]:
@@ -739,14 +710,14 @@ def _stretched(template: Reader, before: Space, after: Space, why: str) -> tuple
 
 
 def _mapped(corner: Vector, before: Space, after: Space) -> Vector:
-    x, y = (_mapped_along(axis, corner[axis], before, after) for axis in (0, 1))
-    return x, y, corner[2]
+    """Return the corner at the same share of another space, in micrometres."""
 
+    def along(axis: int) -> Fraction:
+        share = (corner[axis] - before.low[axis]) / (before.high[axis] - before.low[axis])
+        exact = after.low[axis] + share * (after.high[axis] - after.low[axis])
+        return min(max(round(exact / physics.MICROMETRE) * physics.MICROMETRE, after.low[axis]), after.high[axis])
 
-def _mapped_along(axis: int, place: Fraction, before: Space, after: Space) -> Fraction:
-    share = (place - before.low[axis]) / (before.high[axis] - before.low[axis])
-    exact = after.low[axis] + share * (after.high[axis] - after.low[axis])
-    return min(max(round(exact / _MICROMETRE) * _MICROMETRE, after.low[axis]), after.high[axis])
+    return along(0), along(1), corner[2]
 
 
 def _at_most_one(template: Reader, path: str) -> str | None:
@@ -772,14 +743,15 @@ def _parsed(text: str, what: str) -> Vector:
     return x, y, z
 
 
+def _number_at(document: Reader, path: str) -> Fraction:
+    """Return the number in an attribute; 0 without it."""
+    return _number(_at_most_one(document, path) or "0", path)
+
+
 def _number(text: str, what: str) -> Fraction:
     if len(text) > 60 or not _NUMBER.fullmatch(text.strip()):
         raise TemplateError(f"{what}: {text!r} is not a number; use one such as 10 or 0.5")
     return Fraction(text.strip())
-
-
-def _float(number: float) -> str:
-    return repr(number).removesuffix(".0")
 
 
 def _joined(numbers: Iterable[Fraction]) -> str:

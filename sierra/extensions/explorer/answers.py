@@ -29,7 +29,7 @@ from sierra.extensions.explorer.checked_files import Hashes
 from sierra.extensions.explorer.limit import AGAIN_S, Limit
 from sierra.extensions.explorer.run_table import ConditionError, RunTable, Wanted
 from sierra.extensions.explorer.snapshots import Kept, Opened, T
-from sierra.extensions.explorer.tickets import Made, Tickets
+from sierra.extensions.explorer.tickets import ServedFile, Tickets
 from sierra.store.derived_tables import Limits, Rules
 from sierra.store.read_lock import Shared
 from sierra.store.samples import Frame
@@ -230,10 +230,10 @@ class Answers:
         state = self.state()
         if self._batches is None or self._batches.state != state:
             self._batches = batch_list.read(self._store, state)
-        one = next((one for one in self._batches.batches if one.batch == batch), None)
-        if one is None:
+        listed = next((listed for listed in self._batches.batches if listed.batch == batch), None)
+        if listed is None:
             raise NotFound(f"batch {short(batch)} has been removed")
-        return {"facts": batch_list.as_data(one), "executing": executing(self._store, batch) if one.missing else 0}
+        return {"facts": batch_list.as_data(listed), "executing": executing(self._store, batch) if listed.missing else 0}
 
     def query(self, statement: str, batch: str | None = None) -> JsonView:
         """Return the first rows of a statement, which can only read the store."""
@@ -250,9 +250,9 @@ class Answers:
         from sierra.deliverables.html import section
 
         project, figure, name = self._project(), options(Figure, dict(keys), "chart"), valid_name(name)
-        with self._drawing(project, batch, name, figure, others) as (made, command):
-            drawing, svg = explored(made)
-        origin = origin_of(drawing.batch, drawing.data, *[one for one in drawing.together.values() if one != drawing.batch])
+        with self._drawing(project, batch, name, figure, others) as (drawn, command):
+            drawing, svg = explored(drawn)
+        origin = origin_of(drawing.batch, drawing.data, *[id for id in drawing.together.values() if id != drawing.batch])
         content = interactive.content(drawing, svg, origin)
         return {"section": section(content), "command": command, **self._declared(project, "figures", name, keys)}
 
@@ -272,9 +272,9 @@ class Answers:
         with ExitStack() as opened:
             opened.enter_context(self._one)
             opened.enter_context(self._limited())
-            batches = [self._store.batch_id(one) for one in (batch, *others)]
+            batches = [self._store.batch_id(prefix) for prefix in (batch, *others)]
             groups = together.labelled(project, self._store, batches)
-            frames = {label: opened.enter_context(Frame(self._store, one)) for label, one in groups.items()}
+            frames = {label: opened.enter_context(Frame(self._store, prefix)) for label, prefix in groups.items()}
             drawing = together.drawing(project, self._store, name, figure, frames)
             yield drawing, together.command("figures", groups, name)
 
@@ -285,7 +285,7 @@ class Answers:
         project, name = self._project(), valid_name(name)
         options(Comparison, dict(keys), "comparison")
         with self._one, self._limited(LONG_WALL_S):
-            groups = together.labelled(project, self._store, [self._store.batch_id(one) for one in batches])
+            groups = together.labelled(project, self._store, [self._store.batch_id(prefix) for prefix in batches])
             section = together.compared(project, self._store, name, groups, keys)
         declared = together.declared(groups, keys)
         command = f"sierra compare {name}"
@@ -299,11 +299,11 @@ class Answers:
         with self._one:
             try:
                 with self._limited(LONG_WALL_S):
-                    made = make.of_batches(replace(source, store=self._unlimited), [self._store.batch_id(batch)], self._tell)
+                    report = make.of_batches(replace(source, store=self._unlimited), [self._store.batch_id(batch)], self._tell)
             finally:
                 self._part = ""
-        address = self.tickets.issue(Made("text/html; charset=utf-8", recorded.named(made)))
-        return {"address": address, "notes": list(made.notes)}
+        address = self.tickets.issue(ServedFile("text/html; charset=utf-8", recorded.named(report)))
+        return {"address": address, "notes": list(report.notes)}
 
     def progress(self) -> str:
         """Return the part of a report that is made now, in words; "" if none is."""
@@ -413,8 +413,8 @@ def _keys(figure: Figure) -> JsonView:
 
 def _rows(answer: Answer) -> dict[str, Any]:
     numeric, notes = answer.numeric, answer.notes
-    found = answer.first(ROWS + 1)
-    columns, rows = found.columns, found.rows()
+    first = answer.first(ROWS + 1)
+    columns, rows = first.columns, first.rows()
     shown = [*_few([_value(value) for value in row] for row in rows[:ROWS])]
     cut = len(shown) < min(len(rows), ROWS)
     why = [f"the answer ends where it would have more than {LETTERS_IN_ALL:,} letters: choose fewer columns"] if cut else []

@@ -37,17 +37,17 @@ def read(store: Store, state: str) -> BatchList:
     return BatchList(state, found, [_text(one) for one in found])
 
 
-def as_data(one: ListedBatch) -> JsonView:
+def as_data(batch: ListedBatch) -> JsonView:
     """Return the facts about a batch that the page shows."""
     return {
-        "batch": one.batch,
-        "query": one.query,
-        "requested": f"{(one.submitted or one.created).astimezone(UTC):%Y-%m-%d %H:%M} UTC",
-        "groups": list(filter(None, (one.controller, one.scenario, *one.targets))),
-        "experiments": one.experiments,
-        "runs": one.runs,
-        "state": _state(one),
-        "package": one.package,
+        "batch": batch.batch,
+        "query": batch.query,
+        "requested": f"{(batch.submitted or batch.created).astimezone(UTC):%Y-%m-%d %H:%M} UTC",
+        "groups": list(filter(None, (batch.controller, batch.scenario, *batch.targets))),
+        "experiments": batch.experiments,
+        "runs": batch.runs,
+        "state": _state(batch),
+        "package": batch.package,
     }
 
 

@@ -56,10 +56,10 @@ class Hashes:
         with suppress(OSError), _opened(path) as file:
             identity = Identity.of(file)
             if identity not in self._known:
-                found = hashlib.file_digest(file, "sha256").hexdigest()
+                digest = hashlib.file_digest(file, "sha256").hexdigest()
                 if Identity.of(file) != identity:
                     return None
-                self._known[identity] = found
+                self._known[identity] = digest
             return CheckedFile(path, identity) if self._known[identity] == sha256 else None
         return None
 

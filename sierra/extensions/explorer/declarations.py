@@ -50,9 +50,9 @@ def append(project: LoadedProject, kind: Kind, name: str, keys: Mapping[str, Jso
     if name in getattr(project.config, kind):
         raise UsageError(f"{project.file.name} has a {kind[:-1]} {name!r} already; choose another name")
     after = project.content.rstrip() + b"\n\n" + lines(project.file, kind, name, keys).encode()
-    found = _declared(project, after)
+    declared = _declared(project, after)
     replace_content(project.file, project.content, after)
-    return found
+    return declared
 
 
 def hash_of(project: LoadedProject) -> str:

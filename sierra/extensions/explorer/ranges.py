@@ -28,13 +28,13 @@ class Range:
     @classmethod
     def of(cls, header: str | None, size: int) -> Range:
         """Return the range of a header; the whole file if there is none, or one that asks for something else."""
-        found = ONE.fullmatch(header or "")
-        if found is None:
+        match = ONE.fullmatch(header or "")
+        if match is None:
             return cls(0, size, size, whole=True)
-        if found["end"]:
-            start, stop = max(0, size - int(found["end"])), size
+        if match["end"]:
+            start, stop = max(0, size - int(match["end"])), size
         else:
-            start, stop = int(found["first"]), min(size, int(found["last"]) + 1 if found["last"] else size)
+            start, stop = int(match["first"]), min(size, int(match["last"]) + 1 if match["last"] else size)
         if start >= stop:
             raise BadRange(f"the file has {size:,} bytes")
         return cls(start, stop, size)

@@ -11,7 +11,7 @@ from sierra.deliverables.report import moving_pictures
 from sierra.deliverables.report.make import Source
 from sierra.errors import SierraError
 from sierra.extensions.explorer.checked_files import Hashes
-from sierra.extensions.explorer.tickets import Content, Made, Tickets
+from sierra.extensions.explorer.tickets import ServedContent, ServedFile, Tickets
 from sierra.store import deliverable_records
 from sierra.store.row_types import DeliverableRow
 from sierra.store.store import Store
@@ -24,7 +24,7 @@ LARGEST = 64 << 20
 """The largest size in bytes of a video of a package, which is read as a whole."""
 CHANGED = "the file is not there, or is not the recorded one"
 TOO_LARGE = f"the file is too large to be played from a package (more than {LARGEST >> 20} MiB); extract the package"
-Find = Callable[[str, str], Content | None]
+Find = Callable[[str, str], ServedContent | None]
 """A function that returns the content of a file by its name and its SHA-256 in records, if it is that file.
 
 Raises TooLarge for a file that cannot be played because of its size.
@@ -51,7 +51,7 @@ def _video(row: DeliverableRow, name: str, files: Sequence[str], find: Find, tic
             content, problem = None, TOO_LARGE
         if content:
             kind = moving_pictures.FORMATS[PurePosixPath(file).suffix]
-            address = tickets.issue(Made(kind, content))
+            address = tickets.issue(ServedFile(kind, content))
             return {
                 "name": moving_pictures.captions(row)(name),
                 "file": file,
@@ -64,7 +64,7 @@ def _video(row: DeliverableRow, name: str, files: Sequence[str], find: Find, tic
 def _in_project(root: Path, hashes: Hashes) -> Find:
     """Return a function that finds files within a project's folder."""
 
-    def find(name: str, recorded: str) -> Content | None:
+    def find(name: str, recorded: str) -> ServedContent | None:
         path = (root / name).resolve()
         there = path.is_relative_to(root.resolve()) and path.is_file()
         return hashes.checked(path, recorded) if there else None
@@ -75,7 +75,7 @@ def _in_project(root: Path, hashes: Hashes) -> Find:
 def _in_package(read: moving_pictures.Read) -> Find:
     """Return a function that finds files of a package, which are read again each time that a browser asks for a part."""
 
-    def find(name: str, recorded: str) -> Content | None:
+    def find(name: str, recorded: str) -> ServedContent | None:
         again = partial(_checked, read, name, recorded)
         with suppress(SierraError, FileNotFoundError):
             again()

@@ -40,8 +40,8 @@ def record(store: Store, run: str) -> JsonView:
         raise UsageError(f"{short(run)} is the id of another kind ({shown.kind}); a run is required here")
     files = listing(store, run, check=False).files
     whole = shown.as_dict() | {"files": [{"path": f.path, "kind": f.kind, "bytes": f.bytes, "remark": f.remark} for f in files]}
-    found: JsonView = json.loads(as_json(whole))
-    return found
+    facts: JsonView = json.loads(as_json(whole))
+    return facts
 
 
 def file(store: Store, run: str, path: str) -> JsonView:
@@ -110,7 +110,7 @@ def curves(rows: pa.Table, names: Mapping[str, str], column: str, time: str) -> 
         series.append(Series(f"{short(run)}: {name}", to_hex(colour), start, stop, on_dark(colour)))
     data = Table("curves", ("run", time, column), columns)
     chart = Chart(data, ChartAxis(1, time), ChartAxis(2, column), series, group="run")
-    missing = [short(run) for run, one in zip(names, series, strict=True) if one.start == one.stop]
+    missing = [short(run) for run, piece in zip(names, series, strict=True) if piece.start == piece.stop]
     notes = [f"Runs without values: {', '.join(missing)}."] * bool(missing)
     notes += ["Several rows of a run at one time are shown as their mean."] * bool((numpy_of(rows.column("rows")) > 1).any())
     notes += [

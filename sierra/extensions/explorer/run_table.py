@@ -204,14 +204,14 @@ class RunTable:
     def window(self, wanted: Wanted, first: int, convert: Callable[[Answer], Mapping[str, Any]]) -> Mapping[str, Any]:
         """Return the converted rows from the position `first` on; before the columns, each has the run's id."""
         columns = [self._column(key) for key in dict.fromkeys(wanted.columns)]
-        shown = ", ".join(f"{column.sql} AS {identifier(f'c{place}')}" for place, column in enumerate(columns))
+        shown = ", ".join(f"{column.sql} AS {identifier(f'c{index}')}" for index, column in enumerate(columns))
         rows = self._rows(columns, "")
         part = f'(SELECT * FROM "# shown" WHERE position > {first:d} AND position <= {first + WINDOW:d})'
         joined = f'{part} AS "# w" JOIN {rows} ON runs."# place" = "# w"."# place" ORDER BY "# w".position'
         statement = f"SELECT runs.run{', ' * bool(shown)}{shown} FROM {joined}"
-        found = self._snapshot.ask(statement, {}, convert)
-        numeric = [column.key for place, column in enumerate(columns) if f"c{place}" in found["numeric"]]
-        return {**found, "columns": [column.key for column in columns], "numeric": numeric}
+        answer = self._snapshot.ask(statement, {}, convert)
+        numeric = [column.key for index, column in enumerate(columns) if f"c{index}" in answer["numeric"]]
+        return {**answer, "columns": [column.key for column in columns], "numeric": numeric}
 
     def names(self, runs: Sequence[str]) -> dict[str, str]:
         """Return what tells runs apart, in words: variables and number, by run."""

@@ -27,7 +27,7 @@ from sierra.extensions.explorer.answers import Answers
 from sierra.extensions.explorer.declarations import Kind
 from sierra.extensions.explorer.page import page
 from sierra.extensions.explorer.ranges import BadRange, Range
-from sierra.extensions.explorer.tickets import Made
+from sierra.extensions.explorer.tickets import ServedFile
 from sierra.util.json_types import JsonView
 from sierra.util.lazy_definitions import regex
 from sierra.util.lazy_logger import Log
@@ -240,13 +240,13 @@ class _Handler(BaseHTTPRequestHandler):
         else:
             self._answer(name, self.rfile.read(int(length)))
 
-    def _send_made(self, made: Made) -> None:
+    def _send_made(self, served: ServedFile) -> None:
         """Send a page or a file, or the part of it that the browser wants."""
         try:
-            with made.open() as file:
+            with served.open() as file:
                 wanted = Range.of(self.headers.get("Range"), file.seek(0, SEEK_END))
                 file.seek(wanted.start)
-                self._begin(wanted.status, made.kind, wanted.length, wanted.headers)
+                self._begin(wanted.status, served.kind, wanted.length, wanted.headers)
                 for length in wanted.pieces():
                     self.wfile.write(file.read(length))
         except BadRange as error:
@@ -264,14 +264,14 @@ class _Handler(BaseHTTPRequestHandler):
         try:
             method = cast("Callable[..., JsonView]", getattr(self.server.answers, name))
             with self.server.answers.plugins():
-                found = method(**{field: getattr(asked, field) for field in QUESTIONS[name].model_fields})
+                answer = method(**{field: getattr(asked, field) for field in QUESTIONS[name].model_fields})
         except SierraError as error:
             self._say(HTTPStatus.BAD_REQUEST, {"error": str(error)})
         except Exception as error:
             log.warning("a fault in SIERRA itself: %s", traceback.format_exc())
             self._say(HTTPStatus.INTERNAL_SERVER_ERROR, {"error": f"a fault in SIERRA itself: {type(error).__name__}: {error}"})
         else:
-            self._say(HTTPStatus.OK, found)
+            self._say(HTTPStatus.OK, answer)
 
     def _has_token(self) -> bool:
         return hmac.compare_digest(self.headers.get(KEY_HEADER, "").encode(), self.server.token.encode())

@@ -21,17 +21,17 @@ MOST = 10_000
 MOST_BYTES = 100 << 20
 """The largest size of all pages in memory; the last one may be larger."""
 PREFIX = "/made/"
-Content = bytes | CheckedFile | Callable[[], bytes]
+ServedContent = bytes | CheckedFile | Callable[[], bytes]
 """What is in memory, in a file, or to be read each time that it is wanted."""
 
 
 @dataclass(frozen=True, slots=True)
-class Made:
+class ServedFile:
     """A page or a file."""
 
     kind: str
     """Its media type."""
-    content: Content
+    content: ServedContent
 
     def open(self) -> BinaryIO:
         """Return the content as an open file. Raises FileNotFoundError if it was removed or changed, and errors of reading."""
@@ -48,10 +48,10 @@ class Tickets:
     """What the server has given out addresses for."""
 
     def __init__(self) -> None:
-        self._made: dict[str, Made] = {}
+        self._made: dict[str, ServedFile] = {}
         self._one = threading.Lock()
 
-    def issue(self, made: Made) -> str:
+    def issue(self, made: ServedFile) -> str:
         """Return the address of a page or a file."""
         address = f"{PREFIX}{secrets.token_urlsafe(32)}"
         with self._one:
@@ -68,5 +68,5 @@ class Tickets:
         kept = max(1, sum(size <= MOST_BYTES for size in sizes))
         return [*(address for address, _ in pages[:-kept]), *files[:-MOST]]
 
-    def find(self, address: str) -> Made | None:
+    def find(self, address: str) -> ServedFile | None:
         return self._made.get(address)

@@ -68,7 +68,7 @@ def ranking(groups: Sequence[str], values: Floats, test: Test, alpha: float, *, 
     values = each_alike(values)
     means = rank_tests.mean_ranks_in_blocks(-values if best_is_high else values)
     order = sorted(range(len(groups)), key=lambda place: means[place])
-    names, values = [groups[place] for place in order], values[:, order]
+    names, values = [groups[group] for group in order], values[:, order]
     of_pairs = _by_wilcoxon if test == "wilcoxon" or len(groups) == 2 else _by_nemenyi
     p = rank_tests.friedman(values)[1] if len(groups) > 2 else None
     ranks = sorted(means)

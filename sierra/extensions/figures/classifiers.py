@@ -149,9 +149,9 @@ def _scores_of_classes(request: Request, classes: tuple[str, ...]) -> dict[str, 
     numbers = [f"{identifier(name)}::DOUBLE" for name in scores]
     whole = " AND ".join([f"{actual} IS NOT NULL", *(f"isfinite({number})" for number in numbers)])
     decided = " UNION ALL ".join(
-        f'SELECT "# experiment" AS experiment, run, {place} AS class, {number} AS score, {actual} = {quote(name)} AS positive '
+        f'SELECT "# experiment" AS experiment, run, {index} AS class, {number} AS score, {actual} = {quote(name)} AS positive '
         f"FROM data WHERE {whole}"
-        for place, (name, number) in enumerate(zip(classes, numbers, strict=True))
+        for index, (name, number) in enumerate(zip(classes, numbers, strict=True))
     )
     sums = "count(*) AS count, count(*) FILTER (positive) AS positive"
     return {

@@ -201,15 +201,15 @@ def _curves(drawing: Drawing, of: Curve, xlabel: str, ylabel: str, summed: str, 
     entries = style.names(within.groups.values)
     for panel in within.panels:
         for ordinal, part in _experiments(panel.drawing.rows["scores"]).items():
-            found = [curve for run in _runs(part) if (curve := of(run)) is not None]
-            if not found:
+            curves = [curve for run in _runs(part) if (curve := of(run)) is not None]
+            if not curves:
                 continue
-            place = within.group(panel.drawing, ordinal)
-            look = looks[place]
+            group = within.group(panel.drawing, ordinal)
+            look = looks[group]
             look.pop("marker", None)
-            area = _mean_curve(panel.plot, found, look)
+            area = _mean_curve(panel.plot, curves, look)
             if len(within.panels) == 1:
-                entries[place] += f" ({summed} {area})"
+                entries[group] += f" ({summed} {area})"
         _frame(panel.plot, diagonal=diagonal, parts=summed != "AURC")
     style.outer_labels(within.plots, drawing.figure.xlabel or xlabel, drawing.figure.ylabel or ylabel)
     for look in looks:
@@ -230,15 +230,15 @@ def _curves_of_classes(
     entries = style.names([drawing.figure.labels.get(str(value), value) for value in axis.values])
     for ordinal, plot in plots.items():
         by_run = [_of_classes(run, of, len(classes)) for run in _runs(parts[ordinal])]
-        curves = [[found[place] for found in by_run if place in found] for place in range(len(classes))]
+        curves = [[found[index] for found in by_run if index in found] for index in range(len(classes))]
         curves.append([curve for run in _runs(together[ordinal]) if (curve := of(run)) is not None])
         whole = [[*found.values()] for found in by_run if len(found) == len(classes)]
         curves.append([(np.mean([c for c, _ in all_], axis=0), float(np.mean([area for _, area in all_]))) for all_ in whole])
-        for place, (found, look) in enumerate(zip(curves, looks, strict=True)):
+        for index, (found, look) in enumerate(zip(curves, looks, strict=True)):
             look.pop("marker", None)
             if found:
                 area = _mean_curve(plot, found, look)
-                entries[place] += f" ({summed} {area})" if len(plots) == 1 else ""
+                entries[index] += f" ({summed} {area})" if len(plots) == 1 else ""
         _frame(plot, diagonal=diagonal, parts=True)
     style.outer_labels(list(plots.values()), drawing.figure.xlabel or xlabel, drawing.figure.ylabel or ylabel)
     style.legend(figure, list(plots.values()), axis, entries, style.lines(looks))

@@ -30,7 +30,7 @@ def notes(drawing: Drawing, options: EmbeddingOptions) -> list[str]:
     perplexity = _perplexity(drawing, options)
     columns = list(drawing.tables)
     used = methods.varying(_values(drawing))
-    constant = [name for place, name in enumerate(columns) if place not in used]
+    constant = [name for index, name in enumerate(columns) if index not in used]
     components = f"principal components of {len(used)} columns, with their % of the variance"
     return [
         components if perplexity is None else f"t-SNE, perplexity {perplexity:.3g}; axes have no unit",
@@ -45,9 +45,9 @@ def embedding(drawing: Drawing, options: EmbeddingOptions) -> Figure:
     values = _values(drawing)
     table = methods.standardised(values[:, methods.varying(values)])
     if perplexity is None:
-        found = methods.principal_components(table)
-        points = found.points
-        names = [f"PC {k} ({style.number(100 * part, 3)} %)" for k, part in enumerate(found.explained, 1)]
+        plane = methods.principal_components(table)
+        points = plane.points
+        names = [f"PC {k} ({style.number(100 * part, 3)} %)" for k, part in enumerate(plane.explained, 1)]
     else:
         points, names = _tsne(table, perplexity), ["t-SNE 1", "t-SNE 2"]
     within = facets.panels(drawing, over_first=False)
@@ -75,13 +75,13 @@ def _values(drawing: Drawing) -> Floats:
     """Return the columns of the runs that have a value in all of them. Raises UsageError if there are too few for a plane."""
     if drawing.runs is None:
         raise TypeError("an embedding needs the values of its runs")
-    names = ["value", *(f"value_{place}" for place in range(2, len(drawing.tables) + 1))]
-    found = np.column_stack([style.column(drawing.runs, name) for name in names])
-    if len(found) < FEWEST:
-        raise UsageError(f"an embedding needs {FEWEST} runs with values in all columns, but there are {len(found)}")
-    if len(methods.varying(found)) < 2:
+    names = ["value", *(f"value_{number}" for number in range(2, len(drawing.tables) + 1))]
+    table = np.column_stack([style.column(drawing.runs, name) for name in names])
+    if len(table) < FEWEST:
+        raise UsageError(f"an embedding needs {FEWEST} runs with values in all columns, but there are {len(table)}")
+    if len(methods.varying(table)) < 2:
         raise UsageError("an embedding needs two columns in which runs differ, but there are fewer")
-    return found
+    return table
 
 
 def _ordinals(drawing: Drawing) -> Floats:

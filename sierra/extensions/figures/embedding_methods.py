@@ -64,6 +64,6 @@ def tsne(values: Floats, perplexity: float) -> Floats:
     start = principal_components(values).points
     start = start / start[:, 0].std() * 1e-4  # the scale that van der Maaten and Hinton begin with
     with threadpool_limits(1):
-        made = TSNE(perplexity=perplexity, init=start, random_state=0, n_jobs=1)
-        found: Floats = made.fit_transform(values).astype(float)
-    return found
+        model = TSNE(perplexity=perplexity, init=start, random_state=0, n_jobs=1)
+        points: Floats = model.fit_transform(values).astype(float)
+    return points

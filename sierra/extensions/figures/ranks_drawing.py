@@ -47,61 +47,61 @@ def blocks(drawing: Drawing, within: Literal["experiments", "seeds"]) -> Blocks:
         raise TypeError("a critical_difference figure needs the values of its runs")
     center, *_ = bands.columns(drawing.figure)
     seeds = within == "seeds"
-    found: Blocks = {}
+    by_block: Blocks = {}
     for row in (drawing.runs if seeds else table).to_pylist():
         at, value = drawing.cells[row["experiment"]], row["value" if seeds else center]
         key = (*(at[name] for name in others), *([row["seed"]] if seeds else []))
         if value is not None:
-            found.setdefault(key, {})[at[group]] = value
-    return found
+            by_block.setdefault(key, {})[at[group]] = value
+    return by_block
 
 
 def ranked(drawing: Drawing, options: CriticalDifferenceOptions) -> Ranking:
     """Return the ranking over the blocks in which all groups have a value. Raises UsageError for fewer than two of them."""
-    found, axis = blocks(drawing, options.within(drawing.axes)), drawing.axes[0]
+    by_block, axis = blocks(drawing, options.within(drawing.axes)), drawing.axes[0]
     names = dict(zip(axis.values, style.names(axis.values, 60), strict=True))
     if len(names) > MOST:
         raise UsageError(f"ranks of {len(names)} groups cannot be read; at most {MOST} are possible; use where")
-    if empty := [name for value, name in names.items() if not any(value in block for block in found.values())]:
+    if empty := [name for value, name in names.items() if not any(value in block for block in by_block.values())]:
         raise UsageError(f"no value of {few(empty, 3)}, so groups cannot be ranked; leave out such groups by where")
-    complete = [block for block in found.values() if len(block) == len(names)]
+    complete = [block for block in by_block.values() if len(block) == len(names)]
     if len(complete) < 2:
         raise UsageError(
             f"ranks need two blocks or more in which each group has a value, but there {'is one' if complete else 'is none'}"
         )
     values = np.array([[block[value] for value in names] for block in complete], dtype=float)
     result = ranking(list(names.values()), values, options.test, options.alpha, best_is_high=options.better == "high")
-    return replace(result, left_out=len(found) - len(complete))
+    return replace(result, left_out=len(by_block) - len(complete))
 
 
 def notes(drawing: Drawing, options: CriticalDifferenceOptions) -> list[str]:
     """Return notes on the blocks, the tests, and all that the bars do not say."""
-    found = ranked(drawing, options)
-    tests = f"Friedman p = {style.number(found.p, 2)}" if found.p is not None else ""
-    pairs = "Wilcoxon's signed-rank test, Holm" if found.critical is None else f"Nemenyi CD = {style.number(found.critical, 3)}"
-    shown = ", ".join(filter(None, (counted(found.blocks, "block"), tests, pairs, f"α = {found.alpha:g}")))
-    beside = [f"{found.groups[one]} and {found.groups[other]}" for one, other in found.beside]
+    ranks = ranked(drawing, options)
+    tests = f"Friedman p = {style.number(ranks.p, 2)}" if ranks.p is not None else ""
+    pairs = "Wilcoxon's signed-rank test, Holm" if ranks.critical is None else f"Nemenyi CD = {style.number(ranks.critical, 3)}"
+    shown = ", ".join(filter(None, (counted(ranks.blocks, "block"), tests, pairs, f"α = {ranks.alpha:g}")))
+    beside = [f"{ranks.groups[group]} and {ranks.groups[other]}" for group, other in ranks.beside]
     return [
         shown,
         "bars join groups that were not shown to differ",
-        *([f"{found.blocks} blocks are too few to show any difference"] if not found.enough else []),
-        *(["p is approximate for few blocks"] if found.p is not None and found.blocks <= EXACT and found.enough else []),
+        *([f"{ranks.blocks} blocks are too few to show any difference"] if not ranks.enough else []),
+        *(["p is approximate for few blocks"] if ranks.p is not None and ranks.blocks <= EXACT and ranks.enough else []),
         *([f"nor were {few(beside, 3)}"] if beside else []),
-        *([f"{counted(found.left_out, 'block')} without a value of each group left out"] if found.left_out else []),
+        *([f"{counted(ranks.left_out, 'block')} without a value of each group left out"] if ranks.left_out else []),
     ]
 
 
 def diagram(drawing: Drawing, options: CriticalDifferenceOptions) -> Figure:
     """Draw the ranks, and for Nemenyi's test the critical difference. The best groups are on the left."""
-    found = ranked(drawing, options)
-    count = len(found.groups)
+    ranks = ranked(drawing, options)
+    count = len(ranks.groups)
     left = -(-count // 2)
-    below = 0.7 + BAR * len(found.bars)
-    top = 2.4 if found.critical is not None else 0.2
+    below = 0.7 + BAR * len(ranks.bars)
+    top = 2.4 if ranks.critical is not None else 0.2
     figure = style.blank(style.COLUMN)
     names = [
         style.wrapped(f"{name} ({rank:.2f})", SIDE * figure.get_figwidth(), 7, 5)
-        for name, rank in zip(found.groups, found.ranks, strict=True)
+        for name, rank in zip(ranks.groups, ranks.ranks, strict=True)
     ]
     rows = [*range(left), *reversed(range(count - left))]
     high = [
@@ -113,12 +113,12 @@ def diagram(drawing: Drawing, options: CriticalDifferenceOptions) -> Figure:
     plot.set_xlim(1, count)
     plot.set_ylim(-below - sum(high), top)
     _axis(plot, drawing)
-    if found.critical is not None:
-        _critical(plot, found.critical, count)
-    for place, (name, rank, row) in enumerate(zip(names, found.ranks, rows, strict=True)):
+    if ranks.critical is not None:
+        _critical(plot, ranks.critical, count)
+    for place, (name, rank, row) in enumerate(zip(names, ranks.ranks, rows, strict=True)):
         _group(plot, name, rank, -below - sum(high[:row]) - high[row] / 2, at=1 if place < left else count)
-    for line, (start, end) in enumerate(found.bars, 1):
-        ends = [found.ranks[start] - 0.012 * count, found.ranks[end] + 0.012 * count]
+    for line, (start, end) in enumerate(ranks.bars, 1):
+        ends = [ranks.ranks[start] - 0.012 * count, ranks.ranks[end] + 0.012 * count]
         plot.plot(ends, [-BAR * line] * 2, color="black", linewidth=2.4, solid_capstyle="butt", clip_on=False)
     return figure
 

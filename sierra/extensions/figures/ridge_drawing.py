@@ -35,8 +35,8 @@ def ridge(drawing: Drawing) -> Figure:
     colours = style.colours(within.groups) if count > 1 else [style.named_colours()[0]]
     for panel in within.panels:
         for ordinal, runs in sampled_runs.values(panel.drawing).items():
-            place = within.group(panel.drawing, ordinal)
-            base, colour, above = count - 1 - place, colours[place], 2 + place / count
+            group = within.group(panel.drawing, ordinal)
+            base, colour, above = count - 1 - group, colours[group], 2 + group / count
             shown = runs[sampled_runs.places(len(runs), every)]
             if has_density(runs):
                 shapes.append((seaborn_plots.density(panel.plot, shown, colour, above), panel.plot, base))

@@ -96,8 +96,8 @@ def _frame(drawing: Drawing, within: Panels, looks: list[Look], known: Mapping[i
     style.outer_labels(within.plots, drawing.figure.xlabel or time, drawing.figure.ylabel or "part of the runs not there yet")
     counts = [0] * len(within.groups.values)
     for ordinal, steps in known.items():
-        place = within.group(drawing, ordinal)
-        counts[place] = max(counts[place], steps[0].at_risk)
+        group = within.group(drawing, ordinal)
+        counts[group] = max(counts[group], steps[0].at_risk)
     names = style.names(within.groups.values)
     style.legend(within.figure, within.plots, within.groups, with_n(names, counts), style.lines(looks))
     if len(within.panels) == 1 and len(names) <= ROWS and (style.chosen().height or LOW) >= LOW:
@@ -113,9 +113,9 @@ def _at_risk(drawing: Drawing, within: Panels, looks: list[Look], known: Mapping
     names = style.names(within.groups.values, 16)
     rows = sorted((within.group(drawing, ordinal), ordinal) for ordinal in known)
     _below(plot, "runs at risk", (0, "axes fraction"), 0, "left")
-    for line, (place, ordinal) in enumerate(rows, 1):
+    for line, (group, ordinal) in enumerate(rows, 1):
         if len(rows) > 1:
-            _below(plot, names[place], (0, "axes fraction"), line, "right")
+            _below(plot, names[group], (0, "axes fraction"), line, "right")
         for tick in ticks:
             count = next((step.at_risk for step in known[ordinal] if step.time >= tick), 0)
             _below(plot, str(count), (tick, "data"), line, "center")

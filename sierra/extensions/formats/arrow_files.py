@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from sierra.extensions.formats.columnar import Columnar
 from sierra.ingest.base import UnreadableError
-from sierra.ingest.rewriting import Source
+from sierra.ingest.rewriting import OriginalFile
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -26,7 +26,7 @@ END = b"\xff\xff\xff\xff\x00\x00\x00\x00"
 class ArrowFiles(Columnar):
     """The reader of Arrow files and streams."""
 
-    def table(self, source: Source) -> pa.Table:
+    def table(self, source: OriginalFile) -> pa.Table:
         import pyarrow as pa
 
         content = source.content()
@@ -46,7 +46,7 @@ class ArrowFiles(Columnar):
             raise UnreadableError("has two columns of the same name")
         return table
 
-    def count(self, source: Source, written: int) -> int:
+    def count(self, source: OriginalFile, written: int) -> int:
         content = source.content()
         try:
             return sum(_lengths(content, 8 if content.startswith(MAGIC) else 0))
@@ -54,25 +54,25 @@ class ArrowFiles(Columnar):
             raise UnreadableError("is truncated") from error
 
 
-def _lengths(content: bytes, place: int) -> Iterator[int]:
+def _lengths(content: bytes, offset: int) -> Iterator[int]:
     """Yield the length that the metadata of each record batch state, read without an Arrow library.
 
     Each message is a mark, the size of its metadata, the metadata as a FlatBuffer, and its body. See
     https://arrow.apache.org/docs/format/Columnar.html#encapsulated-message-format.
     """
     while True:
-        mark, size = struct.unpack_from("<Ii", content, place)
+        mark, size = struct.unpack_from("<Ii", content, offset)
         if mark != MARK:
             raise UnreadableError("was written by an Arrow before 0.15, whose format is not read")
         if size == 0:
             return
-        start = place + 8
+        start = offset + 8
         message = start + _number("<I", content, start)
         body = _field("<q", content, message, 3)
         if _field("<B", content, message, 1) == RECORD_BATCH:
             header = message + _offset(content, message, 2)
             yield _field("<q", content, header + _number("<I", content, header), 0)
-        place = start + size + body
+        offset = start + size + body
 
 
 def _field(kind: str, content: bytes, table: int, number: int) -> int:

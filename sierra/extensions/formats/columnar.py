@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, BinaryIO
 from sierra.ingest.base import UnreadableError
 from sierra.ingest.model import PLAIN, Shape
 from sierra.ingest.parquet import Parquet, write_parquet
-from sierra.ingest.rewriting import Rewriter, Source
+from sierra.ingest.rewriting import OriginalFile, Rewriter
 from sierra.ingest.shipped_reader_base import TableReader
 from sierra.store.type_inference import as_float
 
@@ -31,7 +31,7 @@ class Columnar(Rewriter):
     def plain(self) -> Shape:
         return replace(self.shape, format="parquet", form=replace(PLAIN, na=self.shape.form.na))
 
-    def rewrite(self, source: Source, target: BinaryIO) -> int:
+    def rewrite(self, source: OriginalFile, target: BinaryIO) -> int:
         import pyarrow as pa
 
         table = self.table(source)
@@ -41,7 +41,7 @@ class Columnar(Rewriter):
             raise UnreadableError(f"a table cannot hold it ({error})") from error
         return int(table.num_rows)
 
-    def table(self, source: Source) -> pa.Table:
+    def table(self, source: OriginalFile) -> pa.Table:
         """Return the table in a file. Raises UnreadableError."""
         raise NotImplementedError
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from sierra.extensions.formats.columnar import Columnar, column_of
 from sierra.ingest.base import UnreadableError
 from sierra.ingest.missing_values import MissingValues
-from sierra.ingest.rewriting import Source
+from sierra.ingest.rewriting import OriginalFile
 from sierra.ingest.xml_rows import count_tags, parse, pattern
 from sierra.store.type_inference import as_float
 from sierra.util.lazy_definitions import dataclass, field
@@ -27,7 +27,7 @@ ELEMENTS = {"nodes": ("node",), "edges": ("edge",), "graph": ("node", "edge")}
 class GraphMl(Columnar):
     """The reader of GraphML."""
 
-    def table(self, source: Source) -> pa.Table:
+    def table(self, source: OriginalFile) -> pa.Table:
         import pyarrow as pa
 
         graph = _Graph(ELEMENTS[self.shape.form.rows], MissingValues(self.shape.form.na))
@@ -42,7 +42,7 @@ class GraphMl(Columnar):
             del names["id"]
         return pa.table({name: column_of(name, [row.get(name) for row in graph.rows]) for name in names})
 
-    def count(self, source: Source, written: int) -> int:
+    def count(self, source: OriginalFile, written: int) -> int:
         content = source.content()
         return sum(count_tags(content, pattern(f"//{element}"))[0] for element in ELEMENTS[self.shape.form.rows])
 

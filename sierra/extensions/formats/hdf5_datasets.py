@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 from sierra.extensions.formats.columnar import Columnar
 from sierra.extensions.formats.numpy_arrays import INDICES, fields_of, plain
 from sierra.ingest.base import UnreadableError
-from sierra.ingest.rewriting import Source
+from sierra.ingest.rewriting import OriginalFile
 
 if TYPE_CHECKING:
     import h5py
@@ -35,14 +35,14 @@ LINKS = 32
 class Hdf5Datasets(Columnar):
     """The reader of HDF5 files."""
 
-    def table(self, source: Source) -> pa.Table:
+    def table(self, source: OriginalFile) -> pa.Table:
         import numpy as np
         import pyarrow as pa
 
         with opened(source) as file:
-            found = _datasets(file, self.shape.form.rows)
-            size = _size(found)
-            columns = fields_of({name: values(dataset) for name, dataset in found.items()})
+            datasets = _datasets(file, self.shape.form.rows)
+            size = _size(datasets)
+            columns = fields_of({name: values(dataset) for name, dataset in datasets.items()})
         places = np.indices(size).reshape(len(size), -1) if size else ()
         indices = dict(zip(INDICES, places, strict=False))
         if twice := sorted(indices.keys() & columns.keys()):
@@ -50,7 +50,7 @@ class Hdf5Datasets(Columnar):
         self.shape = replace(self.shape, places=tuple(indices))
         return pa.table(indices | {name: plain(name, array) for name, array in columns.items()})
 
-    def count(self, source: Source, written: int) -> int:
+    def count(self, source: OriginalFile, written: int) -> int:
         with opened(source) as file:
             extents = {dataset.id.get_space().get_simple_extent_npoints() for dataset in _datasets(file, self.rows).values()}
         if len(extents) > 1:
@@ -63,7 +63,7 @@ class Hdf5Datasets(Columnar):
 
 
 @contextmanager
-def opened(source: Source) -> Iterator[h5py.File]:
+def opened(source: OriginalFile) -> Iterator[h5py.File]:
     """Open an HDF5 file for reading. Raises UnreadableError for all errors of HDF5."""
     import h5py
 
@@ -96,11 +96,11 @@ def _datasets(file: h5py.File, path: str) -> Mapping[str, h5py.Dataset]:
     """Return the dataset at a path, or those in the group there, by name. Raises UnreadableError."""
     import h5py
 
-    found = resolve(file, path)
-    if isinstance(found, h5py.Dataset):
-        return {path.rstrip("/").rpartition("/")[2]: found}
-    inner = {name: resolve(file, f"{found.name.rstrip('/')}/{name}") for name in found}
-    datasets = {name: one for name, one in inner.items() if isinstance(one, h5py.Dataset)}
+    node = resolve(file, path)
+    if isinstance(node, h5py.Dataset):
+        return {path.rstrip("/").rpartition("/")[2]: node}
+    inner = {name: resolve(file, f"{node.name.rstrip('/')}/{name}") for name in node}
+    datasets = {name: member for name, member in inner.items() if isinstance(member, h5py.Dataset)}
     if not datasets:
         raise UnreadableError(f"the group {path!r} has no dataset; it has {', '.join(map(repr, inner)) or 'nothing'}")
     return datasets
@@ -110,24 +110,22 @@ def resolve(file: h5py.File, path: str, links: int = LINKS) -> h5py.Dataset | h5
     """Return the object at a path; follow only links within the file. Raises UnreadableError."""
     import h5py
 
-    place: h5py.Group = file
+    node: h5py.Group = file
     names = [name for name in path.split("/") if name]
     for number, name in enumerate(names):
-        link = place.get(name, getlink=True) if isinstance(place, h5py.Group) else None
+        link = node.get(name, getlink=True) if isinstance(node, h5py.Group) else None
         if link is None:
-            known = (
-                f"; {place.name!r} has {', '.join(map(repr, list(place)[:10])) or 'nothing'}" if links and number == 0 else ""
-            )
+            known = f"; {node.name!r} has {', '.join(map(repr, list(node)[:10])) or 'nothing'}" if links and number == 0 else ""
             raise UnreadableError(f"has no {path!r}{known}")
         if isinstance(link, h5py.ExternalLink):
             raise UnreadableError(f"{path!r} is a link to another file, {link.filename!r}, which is not read")
         if isinstance(link, h5py.SoftLink):
             if not links:
                 raise UnreadableError(f"{path!r} is a link to itself")
-            target = link.path if link.path.startswith("/") else f"{place.name}/{link.path}"
+            target = link.path if link.path.startswith("/") else f"{node.name}/{link.path}"
             return resolve(file, "/".join([target, *names[number + 1 :]]), links - 1)
-        place = place[name]
-    return place
+        node = node[name]
+    return node
 
 
 def _size(found: Mapping[str, h5py.Dataset]) -> tuple[int, ...]:

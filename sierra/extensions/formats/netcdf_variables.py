@@ -20,7 +20,7 @@ from sierra.extensions.formats.hdf5_datasets import LARGEST, check, opened, reso
 from sierra.extensions.formats.hdf5_datasets import MAGIC as HDF5
 from sierra.extensions.formats.numpy_arrays import plain
 from sierra.ingest.base import UnreadableError
-from sierra.ingest.rewriting import Source
+from sierra.ingest.rewriting import OriginalFile
 from sierra.util.lazy_definitions import dataclass, replace
 
 if TYPE_CHECKING:
@@ -60,34 +60,34 @@ class _Contents(Protocol):
 class NetcdfVariables(Columnar):
     """The reader of NetCDF files."""
 
-    def table(self, source: Source) -> pa.Table:
+    def table(self, source: OriginalFile) -> pa.Table:
         import numpy as np
         import pyarrow as pa
 
         with _contents(source) as file:
-            found = {name: _required(file, name) for name in self._names}
-            first, *_ = found
-            dimensions = found[first].dimensions
-            for name, one in found.items():
-                if one.dimensions != dimensions:
-                    mine, others = (", ".join(names) for names in (one.dimensions, dimensions))
+            variables = {name: _required(file, name) for name in self._names}
+            first, *_ = variables
+            dimensions = variables[first].dimensions
+            for name, variable in variables.items():
+                if variable.dimensions != dimensions:
+                    mine, others = (", ".join(names) for names in (variable.dimensions, dimensions))
                     raise UnreadableError(f"the variable {name!r} has the dimensions ({mine}), but {first!r} has ({others})")
-            size = found[first].values.shape
+            size = variables[first].values.shape
             axes = [(name, file.variable(name)) for name in dimensions]
         places = np.indices(size).reshape(len(size), -1) if size else ()
         columns: dict[str, pa.Array] = {}
-        for (name, axis), place in zip(axes, places, strict=True):
+        for (name, axis), index in zip(axes, places, strict=True):
             if axis is None or axis.dimensions != (name,):
-                columns[name] = plain(name, place)
+                columns[name] = plain(name, index)
             else:
-                columns[name] = _column(name, axis).take(pa.array(place))
-        own = {name: _column(name, one) for name, one in found.items() if name not in columns}
+                columns[name] = _column(name, axis).take(pa.array(index))
+        own = {name: _column(name, variable) for name, variable in variables.items() if name not in columns}
         if len(columns) < len(dimensions):
             raise UnreadableError(f"the variable {first!r} has a dimension twice")
         self.shape = replace(self.shape, places=dimensions)
         return pa.table(columns | own)
 
-    def count(self, source: Source, written: int) -> int:
+    def count(self, source: OriginalFile, written: int) -> int:
         with _contents(source) as file:
             first = self._names[0]
             return math.prod(file.length(first, place) for place in range(len(_required(file, first).dimensions)))
@@ -153,7 +153,7 @@ def _number(name: str, variable: Variable, key: str) -> float | None:
 
 
 @contextmanager
-def _contents(source: Source) -> Iterator[_Contents]:
+def _contents(source: OriginalFile) -> Iterator[_Contents]:
     head = next(source.pieces(), b"")[:8]
     if head.startswith(HDF5):
         with opened(source) as file:
@@ -246,11 +246,11 @@ def _dimensions(content: bytes) -> Iterator[tuple[str, int]]:
     See https://docs.unidata.ucar.edu/netcdf-c/current/file_format_specifications.html. A record dimension has the length 0.
     """
     records, tag, count = struct.unpack_from(">iii", content, 4)
-    place = 16
+    offset = 16
     for _ in range(count if tag == 10 else 0):
-        [size] = struct.unpack_from(">i", content, place)
-        name = content[place + 4 : place + 4 + size].decode()
-        place += 4 + size + -size % 4
-        [length] = struct.unpack_from(">i", content, place)
-        place += 4
+        [size] = struct.unpack_from(">i", content, offset)
+        name = content[offset + 4 : offset + 4 + size].decode()
+        offset += 4 + size + -size % 4
+        [length] = struct.unpack_from(">i", content, offset)
+        offset += 4
         yield name, length or records

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 from sierra.extensions.formats.columnar import Columnar
 from sierra.ingest.base import UnreadableError
-from sierra.ingest.rewriting import Source
+from sierra.ingest.rewriting import OriginalFile
 from sierra.util.lazy_definitions import regex
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ VALUE = "value"
 class NumpyArrays(Columnar):
     """The reader of NumPy arrays."""
 
-    def table(self, source: Source) -> pa.Table:
+    def table(self, source: OriginalFile) -> pa.Table:
         import numpy as np
         import pyarrow as pa
 
@@ -55,7 +55,7 @@ class NumpyArrays(Columnar):
         self.shape = replace(self.shape, places=tuple(indices))
         return pa.table(indices | {name: plain(name, array) for name, array in arrays.items()})
 
-    def count(self, source: Source, written: int) -> int:
+    def count(self, source: OriginalFile, written: int) -> int:
         first = next(iter(_members(source.content()).values()), b"")
         if not first:
             return 0

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from sierra.extensions.formats.columnar import Columnar, column_of
 from sierra.ingest.base import UnreadableError
 from sierra.ingest.missing_values import MissingValues
-from sierra.ingest.rewriting import Source
+from sierra.ingest.rewriting import OriginalFile
 from sierra.ingest.sqlite_file import opened
 from sierra.store.sql_names import identifier
 from sierra.util.lazy_definitions import regex
@@ -26,7 +26,7 @@ STATEMENT = regex(r"\s*(select|with)\b", re.IGNORECASE)
 class SqliteTables(Columnar):
     """The reader of SQLite databases."""
 
-    def table(self, source: Source) -> pa.Table:
+    def table(self, source: OriginalFile) -> pa.Table:
         import pyarrow as pa
 
         with opened(source) as database:
@@ -40,7 +40,7 @@ class SqliteTables(Columnar):
         columns = zip(*rows, strict=True) if rows else ((),) * len(names)
         return pa.table({name: column_of(name, list(values)) for name, values in zip(names, columns, strict=True)})
 
-    def count(self, source: Source, written: int) -> int:
+    def count(self, source: OriginalFile, written: int) -> int:
         with opened(source) as database:
             [[rows]] = database.execute(f"SELECT count(*) FROM ({self._statement})").fetchall()
         return int(rows)

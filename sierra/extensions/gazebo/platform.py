@@ -12,29 +12,16 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from fractions import Fraction
-from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, PositiveInt, StringConstraints
 
-from sierra.design.platforms.base import driver_path
+from sierra.config.field_types import Positive
+from sierra.design.platforms.base import Platform, Spanned, driver_files, driver_path, population_size
 from sierra.extensions.gazebo import robots
 from sierra.extensions.gazebo.robots import COPIES, SEED, Area, Start
-from sierra.plugin import (
-    Add,
-    Axis,
-    Change,
-    ConfigError,
-    Criterion,
-    Point,
-    Project,
-    QueryError,
-    Set,
-    Table,
-    TemplateError,
-    TemplateView,
-    values,
-)
+from sierra.plugin import Add, Change, ConfigError, Criterion, Project, QueryError, Set, Table, TemplateError, TemplateView
+from sierra.util.text import short_number
 
 INPUT, DRIVER, PARTS = "input.world", "gazebo_driver.py", ("gazebo_driver.py", "gazebo_transport.py")
 WORLD = "/sdf/world"
@@ -48,7 +35,6 @@ GZ_SIM = f"{WORLD}//plugin[starts-with(@filename, 'gz-sim') or contains(@filenam
 CRITERIA: Mapping[str, str] = {"population_size": "number of robots: of a population, or copies of the model `robot`"}
 TABLE = "[platforms.gazebo]"
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][\w-]*$")]
 Folder = Annotated[str, StringConstraints(pattern=r"^\w[\w./-]*$")]
 
@@ -95,7 +81,7 @@ class GazeboOptions(Table):
     )
 
 
-class Gazebo:
+class Gazebo(Platform):
     """The platform `gazebo`."""
 
     contract = 1
@@ -114,33 +100,28 @@ class Gazebo:
         self._options = options
 
     def changes(self, template: TemplateView) -> tuple[Change, ...]:
-        options, found = self._options, list[Change]()
+        options, changes = self._options, list[Change]()
         if options.robot and template.find(self._robot()):
-            found.append(Set(self._robot(), "1", attribute=COPIES, expect=1, why=f"{TABLE} robot"))
+            changes.append(Set(self._robot(), "1", attribute=COPIES, expect=1, why=f"{TABLE} robot"))
         if not template.find(PHYSICS):
-            return tuple(found)  # the check of the input refuses it
-        found.append(self._part(template, "real_time_update_rate", RATE, "no limit of the speed"))
+            return tuple(changes)  # the check of the input refuses it
+        changes.append(self._part(template, "real_time_update_rate", RATE, "no limit of the speed"))
         if options.engine:
-            found.append(Set(PHYSICS, options.engine, attribute="type", expect=1, why=f"{TABLE} engine"))
+            changes.append(Set(PHYSICS, options.engine, attribute="type", expect=1, why=f"{TABLE} engine"))
         if options.step:
-            found.append(self._part(template, "max_step_size", _plain(options.step), f"{TABLE} step"))
+            changes.append(self._part(template, "max_step_size", short_number(options.step, 17), f"{TABLE} step"))
         if options.threads:
-            found.append(self._part(template, "ode/solver/island_threads", str(options.threads), f"{TABLE} threads"))
-        return tuple(found)
+            changes.append(self._part(template, "ode/solver/island_threads", str(options.threads), f"{TABLE} threads"))
+        return tuple(changes)
 
     def seed_changes(self) -> tuple[Change, ...]:
         """Return the change that gives the seed to the drawn starts; gzserver gets it as an argument."""
         return (Set(WORLD, "{seed}", attribute=SEED, expect=1, why="the seed"),) if self._options.start_area else ()
 
-    def criterion(self, criterion: Criterion, template: TemplateView) -> tuple[Axis, tuple[Point, ...]] | None:
+    def criterion(self, criterion: Criterion, template: TemplateView) -> Spanned | None:
         if criterion.name not in CRITERIA:
             return None
-        found, path = values(criterion.scale), self._population(template)
-        for value in found:
-            if isinstance(value, str) or value < 1 or value != int(value):
-                raise QueryError(f"population_size: {value} is not a whole number of 1 or more; use population_size=1,2,4")
-        points = tuple(Point(value, (Set(path, str(value), expect=1, why="population_size"),)) for value in found)
-        return Axis("population_size", found, "population size"), points
+        return population_size(criterion.scale, self._population(template))
 
     def criteria(self) -> Mapping[str, str]:
         return CRITERIA
@@ -173,11 +154,7 @@ class Gazebo:
     def files(self, document: bytes) -> tuple[tuple[str, bytes], ...]:
         if self._options.robot:
             document = robots.written(document, self._options.starts, self._options.start_area)
-        drivers = Path(__file__).parent / "drivers"
-        return (INPUT, document), *((name, (drivers / name).read_bytes()) for name in PARTS)
-
-    def environment(self) -> Mapping[str, str]:
-        return {}
+        return (INPUT, document), *driver_files(__file__, *PARTS)
 
     def _part(self, template: TemplateView, name: str, value: str, why: str) -> Change:
         """Return the change that sets a text below the physics; elements that are missing are added."""
@@ -228,8 +205,8 @@ def _check_world(document: TemplateView) -> None:
             f"the world's name {names[0]!r} cannot be part of the names of topics; use letters, digits, _ and -"
         )
     engines = document.find(f"{PHYSICS}/@type")
-    if found := document.find(GZ_SIM) or tuple(one for one in engines if one == "ignored"):
-        raise TemplateError(f'{found[0]!r} is of gz-sim, which platform "gazebo" cannot run; use platform "command" for it')
+    if foreign := document.find(GZ_SIM) or tuple(engine for engine in engines if engine == "ignored"):
+        raise TemplateError(f'{foreign[0]!r} is of gz-sim, which platform "gazebo" cannot run; use platform "command" for it')
     if len(document.find(PHYSICS)) != 1 or len(engines) != 1:
         raise TemplateError('the world must have one physics with a type; add <physics type="ode"> with max_step_size')
     for uri in document.find("//uri"):
@@ -258,7 +235,3 @@ def _whole(whole: float, part: float | str, name: str, parts: str) -> None:
     count = Fraction(repr(whole)) / Fraction(str(part))
     if count.denominator != 1:
         raise ConfigError(f"{TABLE} {name}: {whole:g} s is not a whole number of {parts} of {float(part):g} s")
-
-
-def _plain(value: float) -> str:
-    return repr(value).removesuffix(".0")

@@ -16,6 +16,7 @@ from xml.etree import ElementTree
 from pydantic import Field
 
 from sierra.plugin import Table, TemplateError
+from sierra.util.text import short_number
 
 COPIES, SEED = "copies", "seed"
 TRIES = 10_000
@@ -59,10 +60,10 @@ def written(document: bytes, starts: tuple[Start, ...], area: Area | None) -> by
     places = drawn(count, int(seed or 0), area, first) if area else listed(count, starts, first)
     at = list(world).index(model)
     world.remove(model)
-    for number, place in enumerate(places):
-        world.insert(at + number, _copy(model, number, place))
-    made: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
-    return made + b"\n"
+    for number, pose in enumerate(places):
+        world.insert(at + number, _copy(model, number, pose))
+    xml: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
+    return xml + b"\n"
 
 
 def listed(count: int, starts: tuple[Start, ...], first: Pose) -> Iterator[Pose]:
@@ -96,7 +97,7 @@ def drawn(count: int, seed: int, area: Area, first: Pose) -> Iterator[Pose]:
         yield round(x, DIGITS), round(y, DIGITS), *first[2:5], round(yaw, DIGITS)
 
 
-def _copy(model: ElementTree.Element, number: int, place: Pose) -> ElementTree.Element:
+def _copy(model: ElementTree.Element, number: int, start: Pose) -> ElementTree.Element:
     """Return a copy with its name and its place."""
     copy = deepcopy(model)
     name = copy.find("name")
@@ -108,7 +109,7 @@ def _copy(model: ElementTree.Element, number: int, place: Pose) -> ElementTree.E
     if pose is None:
         pose = ElementTree.Element("pose")
         copy.insert(0, pose)
-    pose.text = " ".join(map(_plain, place))
+    pose.text = " ".join(short_number(value, 17) for value in start)
     return copy
 
 
@@ -127,7 +128,3 @@ def _pose(model: ElementTree.Element) -> Pose:
             f"the pose of the model to copy has the attribute {next(iter(pose.attrib))!r}; use a pose without it"
         )
     return x, y, z, roll, pitch, yaw
-
-
-def _plain(value: float) -> str:
-    return repr(value).removesuffix(".0")

@@ -108,8 +108,8 @@ class Fabric(Commands):
             sock = _on_the_way(self._connection)[-1].transport.sock
             if isinstance(sock, socket.socket):
                 _limit_silence(sock, self._options.lost)
-            found: paramiko.Transport = self._connection.transport
-            return found
+            transport: paramiko.Transport = self._connection.transport
+            return transport
 
     def _forget(self) -> None:
         if self._connection is not None:
@@ -231,10 +231,10 @@ def _prepared(host: str, address: Address, options: LinkOptions) -> Any:
         connection.gateway = None
         for hop in way.split(","):  # OpenSSH passes them in this order, Fabric in the opposite one
             connection.gateway = fabric.Connection(hop.strip(), config=config.clone(), gateway=connection.gateway)
-    for one in _on_the_way(connection):
-        if isinstance(one.gateway, str):
+    for connected in _on_the_way(connection):
+        if isinstance(connected.gateway, str):
             raise Unreachable(f"{host}: its ProxyCommand needs the OpenSSH client; use the link openssh")
-        _check_host_keys(host, address, one)
+        _check_host_keys(host, address, connected)
     return connection
 
 

@@ -138,16 +138,16 @@ def _look(host: HostToCheck, link: Link) -> Generator[Check, None, bool]:
     ended = link.run([host.python, "-c", LOOK, json.dumps(asked)])
     if ended.status != 0:
         raise _NoPython(_last_words(ended).removeprefix("timeout: "))
-    found = json.loads(ended.stdout.splitlines()[-1])
-    version = ".".join(map(str, found["python"]))
-    fits = tuple(found["python"]) >= OLDEST
-    yield check(host, "python", fits, f"{version}, {found['system']}", INSTALL)
-    yield _disk(host, found)
+    facts = json.loads(ended.stdout.splitlines()[-1])
+    version = ".".join(map(str, facts["python"]))
+    fits = tuple(facts["python"]) >= OLDEST
+    yield check(host, "python", fits, f"{version}, {facts['system']}", INSTALL)
+    yield _disk(host, facts)
     yield _clock(host, link)
     if not host.own:
-        yield zone(host, found)
-        yield from battery(host, found["battery"], 0.0)
-    yield Check(f"{host.name}: installed", "ok", ", ".join(found["programs"]) or "none of the programs that runs may need")
+        yield zone(host, facts)
+        yield from battery(host, facts["battery"], 0.0)
+    yield Check(f"{host.name}: installed", "ok", ", ".join(facts["programs"]) or "none of the programs that runs may need")
     return fits
 
 
@@ -184,9 +184,9 @@ def _clock(host: HostToCheck, link: Link) -> Check:
         clock = measured(ask, ClockWatch().now_ns)
     finally:
         channel.close()
-    found = f"{clock.offset_ns / 1e9:+.3f} s from this machine's, ± {clock.rtt_ns / 2e9:.3f} s"
+    offset = f"{clock.offset_ns / 1e9:+.3f} s from this machine's, ± {clock.rtt_ns / 2e9:.3f} s"
     remedy = "let the time service of the host (chrony, timesyncd) set it"
-    return check(host, "clock", abs(clock.offset_ns) < CLOCK_S * 1e9, found, remedy, "absent")
+    return check(host, "clock", abs(clock.offset_ns) < CLOCK_S * 1e9, offset, remedy, "absent")
 
 
 def battery(host: HostToCheck, charge: float | None, least: float) -> Iterator[Check]:

@@ -40,6 +40,6 @@ def _recover(opened: Project, outcomes: Sequence[Outcome], folder: Path) -> None
     outputs = with_files(opened.config.outputs, opened.root)
     for outcome in outcomes:
         name = outcome.file.path.removeprefix(OUTPUT_FOLDER)
-        for found in recover(folder / outcome.path, name, outputs) if outcome.file.kind != "log" else ():
-            what = f"{counted(found.rows, 'message')} written" if found.rows else "nothing was written"
-            note(f"{readable(str(found.path))}: {what}; {found.reason}")
+        for table in recover(folder / outcome.path, name, outputs) if outcome.file.kind != "log" else ():
+            what = f"{counted(table.rows, 'message')} written" if table.rows else "nothing was written"
+            note(f"{readable(str(table.path))}: {what}; {table.reason}")

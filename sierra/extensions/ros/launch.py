@@ -144,8 +144,8 @@ class Robots:
         """
         root = _parsed(document)
         count, seed, place = (self._setting(root, name) for name in ("population_size", "random_seed", "place"))
-        found = [group for group in root.findall("group") if self._stands(group)]
-        if self.poses and (count is None or (place is None and len(found) != 1)):
+        groups = [group for group in root.findall("group") if self._stands(group)]
+        if self.poses and (count is None or (place is None and len(groups) != 1)):
             raise TemplateError("poses need one group that is one robot, which gets them; set group in [platforms.ros]")
         if count is None:
             if self.shared:
@@ -155,18 +155,18 @@ class Robots:
             return document
         if not count.isdecimal() or int(count) == 0:
             raise TemplateError(f"population_size is {count!r}; use a whole number of 1 or more")
-        if len(found) != 1:
-            if place is None and len(found) == int(count):  # all robots are in the template
+        if len(groups) != 1:
+            if place is None and len(groups) == int(count):  # all robots are in the template
                 return document
             raise TemplateError(
-                f"population_size is {count}, but {len(found)} groups stand for robots; set group in [platforms.ros]"
+                f"population_size is {count}, but {len(groups)} groups stand for robots; set group in [platforms.ros]"
             )
-        at = list(root).index(found[0])
+        at = list(root).index(groups[0])
         if place is not None:
             *_, pose = (None, *self._poses(int(place), seed or "0"))
-            copies = [self._copy(found[0], int(place), pose)] if int(place) else []
+            copies = [self._copy(groups[0], int(place), pose)] if int(place) else []
         else:
-            copies = [self._copy(found[0], number, pose) for number, pose in enumerate(self._poses(int(count), seed or "0"))]
+            copies = [self._copy(groups[0], number, pose) for number, pose in enumerate(self._poses(int(count), seed or "0"))]
         root[at : at + 1] = copies
         if self.shared:
             self._keep_own(root, copies)
@@ -202,8 +202,8 @@ class Robots:
                 )
             root[:] = kept
         for group in settings:
-            for one in group.findall(f"param[@name='{PLACE}']"):
-                group.remove(one)
+            for param in group.findall(f"param[@name='{PLACE}']"):
+                group.remove(param)
 
     def _stands(self, group: ElementTree.Element) -> bool:
         """Return whether a group stands for the robots."""
@@ -231,17 +231,17 @@ class Robots:
             yield from self.poses[:count] or (None,) * count
 
     def _copy(self, group: ElementTree.Element, number: int, pose: PlanePose | None) -> ElementTree.Element:
-        made = copy.deepcopy(group)
-        place = self.dialect.namespace(made)
-        assert place is not None  # noqa: S101 - the group was found by its namespace
-        element, attribute = place
+        robot = copy.deepcopy(group)
+        namespace = self.dialect.namespace(robot)
+        assert namespace is not None  # noqa: S101 - the group was found by its namespace
+        element, attribute = namespace
         name = f"{self.prefix or re.sub('[0-9]+$', '', element.get(attribute, ''))}{number}"
         element.set(attribute, name)
         values = [("robot", name), ("index", str(number)), *self.arguments]
         values += zip(POSE, map(repr, pose), strict=True) if pose else ()
         for key, value in reversed(values):
-            self._give(made, key, value)
-        return made
+            self._give(robot, key, value)
+        return robot
 
     def _give(self, group: ElementTree.Element, name: str, value: str) -> None:
         """Give an argument of a group its value, whether the group declares it or not."""

@@ -17,34 +17,21 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import AfterValidator, Field, StringConstraints
 
 from sierra.config.change_tables import StartPoses
+from sierra.config.field_types import Positive
 from sierra.config.robots_table import RobotsTable
-from sierra.design.platforms.base import driver_path
+from sierra.design.platforms.base import Platform, Spanned, driver_files, driver_path, population_size
 from sierra.extensions.ros.launch import KEEPER, POSE, ROOT, SETTINGS, Launch1, Launch2, Robots, Shared
-from sierra.plugin import (
-    Add,
-    Axis,
-    Change,
-    ConfigError,
-    Criterion,
-    Point,
-    Project,
-    QueryError,
-    Set,
-    Table,
-    TemplateError,
-    TemplateView,
-    values,
-)
+from sierra.plugin import Add, Change, ConfigError, Criterion, Project, QueryError, Set, Table, TemplateError, TemplateView
 from sierra.plugin import Pose as StartPose
 
 TABLE = "[platforms.ros]"
-DRIVER, OF_ROS_1, OF_ROS_2 = "ros_driver.py", ("ros_timekeeper.py",), ("ros2_launcher.py", "ros2_watcher.py", "ros2_fleet.py")
+DRIVER, OF_ROS_1 = "ros_driver.py", ("ros1_run.py", "ros_timekeeper.py")
+OF_ROS_2 = ("ros2_run.py", "ros2_launcher.py", "ros2_watcher.py", "ros2_fleet.py")
 """The program that starts a run, and those that it needs beside it."""
 PYTHON = "/usr/bin/python3"
 """The Python of ROS 1 on Debian and Ubuntu: nodes name it in their first line."""
 CRITERIA: Mapping[str, str] = {"population_size": "number of robots: copies of the group that is one robot"}
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Inside = Annotated[str, StringConstraints(pattern=r"^\w[\w./-]*$")]
 RosName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 NodeName = Annotated[str, StringConstraints(pattern=r"^/?[A-Za-z][A-Za-z0-9_/]*$")]
@@ -116,7 +103,7 @@ class RosOptions(StartPoses):
     )
 
 
-class Ros:
+class Ros(Platform):
     """The platform `ros`."""
 
     contract = 1
@@ -180,24 +167,21 @@ class Ros:
         place = Set(self._dialect.setting("place"), "{robot}", expect=1, why="the place of a robot in its run")
         return (seed, place) if self._on_robots else (seed,)
 
-    def criterion(self, criterion: Criterion, template: TemplateView) -> tuple[Axis, tuple[Point, ...]] | None:
+    def criterion(self, criterion: Criterion, template: TemplateView) -> Spanned | None:
         if criterion.name not in CRITERIA:
             return None
-        found, path = values(criterion.scale), self._dialect.setting("population_size")
         if not self._is_xml:
             raise QueryError("population_size: SIERRA does not copy groups in YAML; use a launch file in XML")
         if not self._has_robots(template):
             groups = ", ".join(template.find(self._dialect.group)) or "none"
             raise QueryError(f"population_size: one group must be one robot, but there are: {groups}; set group in {TABLE}")
-        for value in found:
-            if isinstance(value, str) or value < 1 or value != int(value):
-                raise QueryError(f"population_size: {value} is not a whole number of 1 or more; use population_size=1,2,4")
+        axis, points = population_size(criterion.scale, self._dialect.setting("population_size"))
+        for value in axis.values:
             try:
                 self._robots.check(int(value))
             except TemplateError as error:
                 raise QueryError(f"population_size={value}: {error}") from error
-        points = tuple(Point(value, (Set(path, str(value), expect=1, why="population_size"),)) for value in found)
-        return Axis("population_size", found, "population size"), points
+        return axis, points
 
     def criteria(self) -> Mapping[str, str]:
         return CRITERIA
@@ -266,17 +250,12 @@ class Ros:
 
     def files(self, document: bytes) -> tuple[tuple[str, bytes], ...]:
         made = self._robots.made(document) if self._is_xml else document
-        drivers = Path(__file__).parent / "drivers"
-        names = (DRIVER, *(OF_ROS_1 if self._options.ros == 1 else OF_ROS_2))
-        return (self._input, made), *((name, (drivers / name).read_bytes()) for name in names)
+        return (self._input, made), *driver_files(__file__, DRIVER, *(OF_ROS_1 if self._options.ros == 1 else OF_ROS_2))
 
     def start_poses(self, document: bytes) -> tuple[StartPose, ...]:
         """Return what the launch file of a run tells its robots; see `sierra.plugin.Placing`."""
         found = self._robots.read_poses(document) if self._robots.poses else ()
         return tuple(StartPose(x, y, round(math.degrees(yaw) % 360, 1)) for x, y, yaw in found)
-
-    def environment(self) -> Mapping[str, str]:
-        return {}
 
     def _settings(self, template: TemplateView) -> dict[str, str]:
         """Return the values of the settings that the template gets."""

@@ -12,7 +12,7 @@ from sierra.extensions.ros.bags.containers import Channel
 from sierra.extensions.ros.bags.message_types import MessageTypes
 from sierra.ingest.base import UnreadableError
 from sierra.ingest.model import Written
-from sierra.ingest.rewriting import Source
+from sierra.ingest.rewriting import OriginalFile
 from sierra.util.text import counted
 
 ROBOT = "robot"
@@ -33,13 +33,13 @@ def _proposals(content: bytes, name: str) -> Sequence[Proposal]:
     with tempfile.TemporaryDirectory(prefix="sierra-") as folder:
         path = Path(folder, "bag")
         path.write_bytes(content)
-        with opened(Source(Written(str(path), "", "", name, "", 0, True, len(content)))) as bag:
+        with opened(OriginalFile(Written(str(path), "", "", name, "", 0, True, len(content)))) as bag:
             index = bag.index()
     alike: dict[tuple[str, str], list[Channel]] = {}
     for channel in sorted(index, key=lambda one: (one.topic, one.number)):
         alike.setdefault((channel.type, _rest(channel.topic)), []).append(channel)
     types = MessageTypes("")
-    return [_proposal(channels, sum(index[one] for one in channels), types) for channels in alike.values()]
+    return [_proposal(channels, sum(index[entry] for entry in channels), types) for channels in alike.values()]
 
 
 def _rest(topic: str) -> str:

@@ -19,7 +19,7 @@ from sierra.extensions.ros.output import BagOutput
 from sierra.ingest.base import UnreadableError
 from sierra.ingest.match_outputs import claims
 from sierra.ingest.model import Written
-from sierra.ingest.rewriting import Source
+from sierra.ingest.rewriting import OriginalFile
 from sierra.util.fs import fitting
 from sierra.util.lazy_definitions import dataclass
 
@@ -43,9 +43,9 @@ def recover(bag: Path, name: str, outputs: Mapping[str, Output]) -> Iterator[Rec
 
     `name` is the path of the bag in the output folder of its run. Raises OSError.
     """
-    source = Source(Written(str(bag), "", "", name, "", 0, True, bag.stat().st_size))
-    declared = {output: found for output in claims(outputs, name) if isinstance(found := outputs[output], BagOutput)}
-    declared = {output: found for output, found in declared.items() if not found.archive}
+    source = OriginalFile(Written(str(bag), "", "", name, "", 0, True, bag.stat().st_size))
+    declared = {output: table for output in claims(outputs, name) if isinstance(table := outputs[output], BagOutput)}
+    declared = {output: table for output, table in declared.items() if not table.archive}
     if not declared or _is_whole(source):
         return
     for output, keys in declared.items():
@@ -58,7 +58,7 @@ def recover(bag: Path, name: str, outputs: Mapping[str, Output]) -> Iterator[Rec
         yield Recovered(output, path, rows, reason)
 
 
-def _is_whole(source: Source) -> bool:
+def _is_whole(source: OriginalFile) -> bool:
     try:
         with opened(source) as bag:
             bag.index()
@@ -67,7 +67,7 @@ def _is_whole(source: Source) -> bool:
     return True
 
 
-def _written(source: Source, output: BagOutput, path: Path) -> tuple[int, str]:
+def _written(source: OriginalFile, output: BagOutput, path: Path) -> tuple[int, str]:
     """Write the table; return the number of its rows, and why there are no more. Raises UnreadableError without columns."""
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -77,14 +77,14 @@ def _written(source: Source, output: BagOutput, path: Path) -> tuple[int, str]:
     with opened(source, whole=False) as bag:
         known = Counter(channel for channel, _, _ in _Readable(bag.scan(lambda _: True)))
         table = TopicTable(known, keys)
-        found = _Readable(bag.scan(table.channels.__contains__))
+        messages = _Readable(bag.scan(table.channels.__contains__))
         schema = table.schema.append(pa.field(PARTIAL, pa.bool_()))
         with path.open("xb") as file, pq.ParquetWriter(file, schema) as writer:
-            for batch in batches(table, found):
+            for batch in batches(table, messages):
                 marks = pa.array([True] * batch.num_rows)
                 writer.write_batch(pa.record_batch([*batch.columns, marks], schema=schema))
                 rows += batch.num_rows
-    return rows, found.reason or "all messages were read; the bag lacks only its index"
+    return rows, messages.reason or "all messages were read; the bag lacks only its index"
 
 
 class _Readable:

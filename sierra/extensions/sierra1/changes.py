@@ -113,16 +113,16 @@ def _made(old: Old, trial: Trial, controller: str) -> Change | str:
         return f"{second!r} is not a tag"
     if old.kind in ADDS:
         return _add(trial, parent, second, rest)
-    place = first(trial, f"{parent}/{second}")
-    if place is None:
+    where = first(trial, f"{parent}/{second}")
+    if where is None:
         if old.kind in RENAMES and trial.count(f"{parent}/@{second}"):
             return f"{second!r} is an attribute, not a tag, so it had no effect; was attr_change meant?"
         return _nothing(trial, f"{parent}/{second}")
     if old.kind in REMOVES:
-        return Remove(place)
+        return Remove(where)
     if len(rest) != 1 or not _TAG.fullmatch(rest[0]):
         return "it needs a path, a tag and a new tag"
-    return Rename(place, rest[0])
+    return Rename(where, rest[0])
 
 
 def first(trial: Trial, path: str) -> str | None:
@@ -165,13 +165,13 @@ def _attributes(text: str) -> dict[str, str] | None:
     if len(text) > LONGEST:
         return None
     try:
-        found: object = ast.literal_eval(text)
+        evaluated: object = ast.literal_eval(text)
     except (ValueError, SyntaxError, MemoryError, RecursionError):
         return None
-    if not isinstance(found, dict):
+    if not isinstance(evaluated, dict):
         return None
-    pairs = {str(name): str(value) for name, value in found.items() if isinstance(value, str | int | float)}
-    return pairs if len(pairs) == len(found) and all(_TAG.fullmatch(name) for name in pairs) else None
+    pairs = {str(name): str(value) for name, value in evaluated.items() if isinstance(value, str | int | float)}
+    return pairs if len(pairs) == len(evaluated) and all(_TAG.fullmatch(name) for name in pairs) else None
 
 
 def literal(text: str) -> str:

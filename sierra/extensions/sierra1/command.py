@@ -28,21 +28,21 @@ def _convert(old: Path, folder: Path, template: str | None, as_json: bool) -> No
     """Convert a project of SIERRA 1.x and print what was carried over, and what was not."""
     from sierra.extensions.sierra1 import convert
 
-    path, made = convert.write(old, folder, template)
-    command = f"{there(folder)}sierra run {made.next} -n"
+    path, draft = convert.write(old, folder, template)
+    command = f"{there(folder)}sierra run {draft.next} -n"
     if as_json:
-        kinds = {"controllers": made.controllers, "scenarios": made.scenarios, "variables": made.variables}
-        found = {kind: list(names) for kind, names in (kinds | {"figures": made.figures}).items()}
-        written = [str(path), *([str(folder / made.template)] if made.copied else [])]
-        print_json({"written": written, "template": made.template, **found, "left_out": list(made.left_out), "next": command})
+        kinds = {"controllers": draft.controllers, "scenarios": draft.scenarios, "variables": draft.variables}
+        kept = {kind: list(names) for kind, names in (kinds | {"figures": draft.figures}).items()}
+        written = [str(path), *([str(folder / draft.template)] if draft.copied else [])]
+        print_json({"written": written, "template": draft.template, **kept, "left_out": list(draft.left_out), "next": command})
         return
-    print(f"wrote {path}" + (f" and {folder / made.template}" if made.copied else ""))
-    print(f"  template {one_line(made.template)}")
+    print(f"wrote {path}" + (f" and {folder / draft.template}" if draft.copied else ""))
+    print(f"  template {one_line(draft.template)}")
     for kind in ("controllers", "scenarios", "variables", "figures"):
-        if names := getattr(made, kind):
+        if names := getattr(draft, kind):
             print(f"  {kind}: {one_line(', '.join(names))}")
-    if made.left_out:
+    if draft.left_out:
         print("not carried over (also at the end of the file):")
-        for line in made.left_out:
+        for line in draft.left_out:
             print(f"  {line}")
     print(f"next: {command}    (this only shows the runs; without -n they execute)")

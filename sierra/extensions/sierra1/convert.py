@@ -167,15 +167,15 @@ def _check(text: str, root: Path) -> None:
 def _template(old: OldProject, target: Path, given: str | None) -> tuple[str, Path | None]:
     """Return the template's path in the new project, and its old file if it must be copied there."""
     named = (call.first("expdef-template", "template-input-file", "template-file") for call in old.calls)
-    found = [file for name in named if name and name.endswith(".argos") and _is_inside(file := old.root / name, old.root)]
-    candidates = [Path(given)] if given else list(dict.fromkeys([*found, *old.templates]))
+    existing = [file for name in named if name and name.endswith(".argos") and _is_inside(file := old.root / name, old.root)]
+    candidates = [Path(given)] if given else list(dict.fromkeys([*existing, *old.templates]))
     if given and not candidates[0].is_file():
         raise Missing(f"{given}: no such file; give the template with --template FILE")
     if not candidates:
         raise Missing(
             f"{old.root}: no .argos file with {PLACEHOLDER}; give the template with --template FILE (only ARGoS is converted)"
         )
-    if len(candidates) > 1 and not found:
+    if len(candidates) > 1 and not existing:
         shown = ", ".join(str(path) for path in candidates[:8])
         raise Missing(f"{old.root}: several files could be the template ({shown}); give one with --template FILE")
     file = candidates[0]
@@ -306,14 +306,14 @@ def _controller(
     draft.left_out += _other_formats(member, where)
     if member.get("graphs") or member.get("graphs_inherit"):
         draft.left_out.append(f"{where}: graphs: figures are drawn for all controllers")
-    made: list[Change] = []
+    changes: list[Change] = []
     for old_change in (*every, *_sorted(own)):
         result = translated(old_change, trial, name)
         if isinstance(result, str):
             draft.left_out.append(result)
         else:
-            made.append(result)
-    draft.groups[name] = tuple(made)
+            changes.append(result)
+    draft.groups[name] = tuple(changes)
 
 
 def _sorted(changes: list[Old]) -> list[Old]:
@@ -403,8 +403,8 @@ def _arena(draft: Draft, template: Template, common: tuple[Change, ...]) -> tupl
     trial = Trial(template, {"controller": "c", "x": 20, "y": 10, "z": 2}, list(common))
     try:
         places = [(first(trial, xpath(path, "c")), name, value) for path, name, value in PLACES]
-        found = [(path, name, value) for path, name, value in places if path and trial.count(f"{path}/@{name}")]
-        placed = tuple(Set(path, value, attribute=name) for path, name, value in found)
+        present = [(path, name, value) for path, name, value in places if path and trial.count(f"{path}/@{name}")]
+        placed = tuple(Set(path, value, attribute=name) for path, name, value in present)
         changes = (size, Set(ARENA, "{x / 2},{y / 2},{z / 2}", attribute="center"), *placed)
         trial.changes += changes
         _check_input(trial, Trial(template, trial.values, list(common)), _platform(draft.platform))
@@ -428,7 +428,7 @@ def _variables(draft: Draft, old: OldProject, template: Template, common: tuple[
         if not pairs or not re.fullmatch(field_types.NAME, name):
             draft.left_out.append(f"variables/{name}.py: its changes are computed by Python; write them in [variables.{name}]")
             continue
-        made: list[Set] = []
+        changes: list[Set] = []
         trial = Trial(template, {"controller": "c", name: 1}, list(common))
         for path, attribute in pairs:
             change = Set(xpath(path, "c"), f"{{{name}}}", attribute=attribute)
@@ -437,11 +437,11 @@ def _variables(draft: Draft, old: OldProject, template: Template, common: tuple[
             except SierraError:
                 exists = 0
             if exists and PLACEHOLDER not in path and not trial.fits(change):
-                made.append(change)
+                changes.append(change)
             else:
                 draft.left_out.append(f"variables/{name}.py: {path} {attribute}: it matches nothing in the template")
-        if made:
-            draft.variables[name] = tuple(made)
+        if changes:
+            draft.variables[name] = tuple(changes)
 
 
 def _queries(draft: Draft, old: OldProject) -> None:
@@ -462,7 +462,7 @@ def _queries(draft: Draft, old: OldProject) -> None:
             stem = figures.name(criteria[0])
             free = (stem, *(f"{stem}_{number}" for number in range(2, len(draft.queries) + 3)))
             if query not in draft.queries.values():
-                draft.queries[next(one for one in free if one not in draft.queries)] = query
+                draft.queries[next(name for name in free if name not in draft.queries)] = query
 
 
 def _criteria(call: Call) -> Iterator[str]:

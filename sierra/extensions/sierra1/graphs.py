@@ -51,18 +51,18 @@ class Graphs:
 
 def graphs(old: OldProject, folder: str) -> Graphs:
     """Return the figures of a project; `folder` is the one in which runs write their files, or empty."""
-    made = Graphs()
+    converted = Graphs()
     for file, section in FILES.items():
         content = old.section(file)
         for where, part in {section: dict(content)}.items() if section and content else content.items():
             if where in OTHERS:
-                made.left_out += _others(file, where, part)
+                converted.left_out += _others(file, where, part)
             elif where not in ("intra-exp", "inter-exp"):
-                made.left_out.append(f"{file}: {where}: unknown section")
+                converted.left_out.append(f"{file}: {where}: unknown section")
             else:
                 for name, graph in _each(part):
-                    _add(made, f"{file}: {where}: {name}", where, graph, folder)
-    return made
+                    _add(converted, f"{file}: {where}: {name}", where, graph, folder)
+    return converted
 
 
 def _others(file: str, where: str, part: Plain | None) -> Iterator[str]:
@@ -80,48 +80,48 @@ def _each(part: Plain | None) -> Iterator[tuple[str, Plain]]:
             yield f"{category}: {stem or number}", graph
 
 
-def _add(made: Graphs, where: str, section: str, graph: Plain, folder: str) -> None:
+def _add(converted: Graphs, where: str, section: str, graph: Plain, folder: str) -> None:
     if not isinstance(graph, dict) or not isinstance(graph.get("src_stem"), str):
-        made.left_out.append(f"{where}: it has no src_stem")
+        converted.left_out.append(f"{where}: it has no src_stem")
         return
     stem, columns = str(graph["src_stem"]), _columns(graph)
     kind = _kind(graph, section)
     if kind is None:
-        made.left_out.append(f"{where}: no figure of the type {graph.get('type', 'heatmap')!r} within an experiment")
+        converted.left_out.append(f"{where}: no figure of the type {graph.get('type', 'heatmap')!r} within an experiment")
         return
     if not columns:
-        made.left_out.append(f"{where}: it names no column; without [figures], each column gets figures")
+        converted.left_out.append(f"{where}: it names no column; without [figures], each column gets figures")
         return
     if str(graph.get("index", "-1")) != "-1":
-        made.left_out.append(f"{where}: index {graph['index']} is not carried over; figures show the last value")
+        converted.left_out.append(f"{where}: index {graph['index']} is not carried over; figures show the last value")
         return
     if (path := _file(stem, folder)) is None:
-        made.left_out.append(f"{where}: {stem!r} cannot be the name of a file of a run")
+        converted.left_out.append(f"{where}: {stem!r} cannot be the name of a file of a run")
         return
     table = name(stem)
-    made.outputs.setdefault(table, {"file": path})
+    converted.outputs.setdefault(table, {"file": path})
     for column in columns:
-        _figure(made, kind, table, column, graph)
-    made.left_out += [f"{where}: {key}: is not carried over" for key in graph if key not in _known()]
+        _figure(converted, kind, table, column, graph)
+    converted.left_out += [f"{where}: {key}: is not carried over" for key in graph if key not in _known()]
     if any(text.strip() and text not in columns for text in _texts(graph.get("legend"))):
-        made.left_out.append(f"{where}: legend: figures show the names of columns and the values of variables")
+        converted.left_out.append(f"{where}: legend: figures show the names of columns and the values of variables")
 
 
 def _known() -> set[str]:
     return {*LABELS, *IGNORED, "src_stem", "dest_stem", "cols", "col", "type", "summary", "index", "logy"}
 
 
-def _figure(made: Graphs, kind: str, table: str, column: str, graph: Mapping[str, Plain]) -> None:
+def _figure(converted: Graphs, kind: str, table: str, column: str, graph: Mapping[str, Plain]) -> None:
     labels = {key: text for old, key in LABELS.items() if (text := _label(graph.get(old)))}
     figure: Entry = {"kind": kind, "table": table, "column": column, **labels}
     if str(graph.get("logy", "false")).lower() in ("true", "yes", "on"):
         figure["log_y"] = True
-    if any(same["kind"] == kind and same["table"] == table and same["column"] == column for same in made.figures.values()):
+    if any(same["kind"] == kind and same["table"] == table and same["column"] == column for same in converted.figures.values()):
         return
     suffix = "" if kind == "timeseries" else f"_{kind}"
     base = name(f"{table}_{column}{suffix}")
-    free = (base, *(f"{base}_{number}" for number in range(2, len(made.figures) + 3)))
-    made.figures[next(one for one in free if one not in made.figures)] = figure
+    free = (base, *(f"{base}_{number}" for number in range(2, len(converted.figures) + 3)))
+    converted.figures[next(candidate for candidate in free if candidate not in converted.figures)] = figure
 
 
 def _columns(graph: Mapping[str, Plain]) -> list[str]:

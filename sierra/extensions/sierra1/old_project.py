@@ -172,4 +172,4 @@ def _call(origin: str, line: str) -> Iterator[Call]:
         elif "$" not in word:
             current.append(word)
     if options:
-        yield Call(origin, {name: tuple(found) for name, found in options.items()})
+        yield Call(origin, {name: tuple(given) for name, given in options.items()})

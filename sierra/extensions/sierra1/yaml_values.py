@@ -68,18 +68,18 @@ class _Values:
         return str(node.value)
 
     def _mapping(self, node: yaml.MappingNode, within: tuple[int, ...]) -> dict[str, Plain]:
-        found: dict[str, Plain] = {}
+        own: dict[str, Plain] = {}
         merged: dict[str, Plain] = {}
         for key, value in node.value:
             if not isinstance(key, yaml.ScalarNode):
                 raise self._wrong(key, "a key is not a single value")
             if key.value == "<<" and not key.style:
                 merged |= self._merged(value, within)
-            elif key.value in found:
+            elif key.value in own:
                 raise self._wrong(key, f"the key {key.value!r} occurs twice")
             else:
-                found[key.value] = self.of(value, within)
-        return {**merged, **found}
+                own[key.value] = self.of(value, within)
+        return {**merged, **own}
 
     def _merged(self, node: yaml.Node, within: tuple[int, ...]) -> dict[str, Plain]:
         value = self.of(node, within)

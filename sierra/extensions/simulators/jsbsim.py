@@ -6,33 +6,19 @@ its own package. The program is an input file, so it is part of the identity of 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from pathlib import Path
 from typing import Annotated, ClassVar
 
 from pydantic import Field, StringConstraints
 
-from sierra.design.platforms.base import driver_path
-from sierra.plugin import (
-    Add,
-    Axis,
-    Change,
-    ConfigError,
-    Criterion,
-    Point,
-    Project,
-    Set,
-    Table,
-    TemplateError,
-    TemplateView,
-)
+from sierra.config.field_types import Positive
+from sierra.design.platforms.base import Platform, driver_files, driver_path
+from sierra.plugin import Add, Change, ConfigError, Project, Set, Table, TemplateError, TemplateView
 
 INPUT, DRIVER = "input.xml", "jsbsim_driver.py"
 RUN = "/runscript/run"
 SEED = f"{RUN}/property[normalize-space()='simulation/randomseed']/@value"
 TABLE = "flight.csv"
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Property = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][\w/.\[\]-]*$")]
 Inside = Annotated[str, StringConstraints(pattern=r"^\w[\w./-]*$")]
 
@@ -52,7 +38,7 @@ class JsbsimOptions(Table):
     )
 
 
-class Jsbsim:
+class Jsbsim(Platform):
     """The platform `jsbsim`."""
 
     contract = 1
@@ -83,12 +69,6 @@ class Jsbsim:
     def seed_changes(self) -> tuple[Change, ...]:
         return (Set(SEED, "{seed}", expect=1, why="the seed"),)
 
-    def criterion(self, criterion: Criterion, template: TemplateView) -> tuple[Axis, tuple[Point, ...]] | None:
-        return None
-
-    def criteria(self) -> Mapping[str, str]:
-        return {}
-
     def check(self, document: TemplateView, template: TemplateView) -> None:
         """Refuse a script without an end, without an output, or with one that other runs would overwrite."""
         if not document.find(f"{RUN}/@end"):
@@ -104,7 +84,4 @@ class Jsbsim:
         return self._command
 
     def files(self, document: bytes) -> tuple[tuple[str, bytes], ...]:
-        return (INPUT, document), (DRIVER, (Path(__file__).parent / "drivers" / DRIVER).read_bytes())
-
-    def environment(self) -> Mapping[str, str]:
-        return {}
+        return (INPUT, document), *driver_files(__file__, DRIVER)

@@ -7,35 +7,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Annotated, ClassVar
 
 from pydantic import Field, StringConstraints
 
-from sierra.design.platforms.base import driver_path
-from sierra.plugin import (
-    Axis,
-    Capture,
-    Change,
-    ConfigError,
-    Criterion,
-    Point,
-    Project,
-    QueryError,
-    Rendering,
-    Set,
-    Table,
-    TemplateError,
-    TemplateView,
-    values,
-)
+from sierra.config.field_types import NotNegative, Positive
+from sierra.design.platforms.base import Platform, Spanned, driver_files, driver_path, population_size
+from sierra.plugin import Capture, ConfigError, Criterion, Project, QueryError, Rendering, Table, TemplateError, TemplateView
 
 INPUT, DRIVER = "input.xml", "mujoco_driver.py"
 POPULATION = "//worldbody//replicate/@count"
 CRITERIA: Mapping[str, str] = {"population_size": "number of copies that <replicate> makes"}
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Element = Annotated[str, StringConstraints(pattern=r"^[^-{}\s][^{}\s]*$")]
 """The name of an element of the model, or a pattern such as `robot*`."""
 Inside = Annotated[str, StringConstraints(pattern=r"^[\w][\w./-]*\.py$")]
@@ -62,7 +45,7 @@ class MujocoOptions(Table):
     population: str = Field(POPULATION, description="XPath of the attribute that population_size sets")
 
 
-class Mujoco:
+class Mujoco(Platform):
     """The platform `mujoco`."""
 
     contract = 1
@@ -75,23 +58,13 @@ class Mujoco:
         self._python = project.command or ("{python}",)
         self._options = options
 
-    def changes(self, template: TemplateView) -> tuple[Change, ...]:
-        return ()
-
-    def seed_changes(self) -> tuple[Change, ...]:
-        return ()
-
-    def criterion(self, criterion: Criterion, template: TemplateView) -> tuple[Axis, tuple[Point, ...]] | None:
+    def criterion(self, criterion: Criterion, template: TemplateView) -> Spanned | None:
         if criterion.name not in CRITERIA:
             return None
-        found, path = values(criterion.scale), self._options.population
-        for value in found:
-            if isinstance(value, str) or value < 1 or value != int(value):
-                raise QueryError(f"population_size: {value} is not a whole number of 1 or more; use population_size=1,2,4")
+        spanned = population_size(criterion.scale, path := self._options.population)
         if (count := len(template.find(path))) != 1:
             raise QueryError(f"population_size: {path} selects {count} attributes; set population in [platforms.mujoco]")
-        points = tuple(Point(value, (Set(path, str(value), expect=1, why="population_size"),)) for value in found)
-        return Axis("population_size", found, "population size"), points
+        return spanned
 
     def criteria(self) -> Mapping[str, str]:
         return CRITERIA
@@ -112,10 +85,7 @@ class Mujoco:
         return (*self._python, self._driver, "{input}", "{output}", "--seed", "{seed}", *words, *chosen, *keyframe, *control)
 
     def files(self, document: bytes) -> tuple[tuple[str, bytes], ...]:
-        return (INPUT, document), (DRIVER, (Path(__file__).parent / "drivers" / DRIVER).read_bytes())
-
-    def environment(self) -> Mapping[str, str]:
-        return {}
+        return (INPUT, document), *driver_files(__file__, DRIVER)
 
     def rendering(self, capture: Capture, command: tuple[str, ...]) -> Rendering:
         """Return the rendering off screen by the program of this version, which simulates like that of earlier ones."""

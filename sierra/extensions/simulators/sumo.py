@@ -13,6 +13,8 @@ from typing import Annotated, ClassVar
 
 from pydantic import Field, StringConstraints
 
+from sierra.config.field_types import Positive
+from sierra.design.platforms.base import Platform, Spanned
 from sierra.plugin import (
     Add,
     Axis,
@@ -28,6 +30,7 @@ from sierra.plugin import (
     TemplateView,
     values,
 )
+from sierra.util.text import short_number
 
 ENDING = ".sumocfg"
 INPUT = f"input{ENDING}"
@@ -45,7 +48,6 @@ CRITERIA: Mapping[str, str] = {
 }
 ATTRIBUTES = {"population_size": "number", "vehicles_per_hour": "vehsPerHour"}
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 OutputName = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z-]*$")]
 
 
@@ -65,7 +67,7 @@ class SumoOptions(Table):
     )
 
 
-class Sumo:
+class Sumo(Platform):
     """The platform `sumo`."""
 
     contract = 1
@@ -83,24 +85,26 @@ class Sumo:
 
     def changes(self, template: TemplateView) -> tuple[Change, ...]:
         wanted = {"end": self._options.end, "step-length": self._options.step_length}
-        times = (self._option(template, "time", name, _plain(value)) for name, value in wanted.items() if value is not None)
+        times = (
+            self._option(template, "time", name, short_number(value, 17)) for name, value in wanted.items() if value is not None
+        )
         seed = () if self._find(template, f"{ROOT}//seed") else (self._option(template, "random_number", "seed", "0"),)
         return (*times, *seed, *self._moved(template), *self._added(template))
 
     def seed_changes(self) -> tuple[Change, ...]:
         return (Set(f"{self._prefix}{ROOT}//seed/@value", "{seed}", expect=1, why="the seed"),)
 
-    def criterion(self, criterion: Criterion, template: TemplateView) -> tuple[Axis, tuple[Point, ...]] | None:
+    def criterion(self, criterion: Criterion, template: TemplateView) -> Spanned | None:
         if criterion.name not in CRITERIA:
             return None
-        found = values(criterion.scale)
+        numbers = values(criterion.scale)
         whole = criterion.name == "population_size"
-        for value in found:
+        for value in numbers:
             if isinstance(value, str) or value < 0 or (whole and value != int(value)):
                 kind = "a whole number" if whole else "a number"
                 raise QueryError(f"{criterion.name}: {value} is not {kind} of 0 or more; use {criterion.name}=1,2,4")
-        points = tuple(Point(value, (self._traffic(criterion.name, template, value),)) for value in found)
-        return Axis(criterion.name, found), points
+        points = tuple(Point(value, (self._traffic(criterion.name, template, value),)) for value in numbers)
+        return Axis(criterion.name, numbers), points
 
     def criteria(self) -> Mapping[str, str]:
         return CRITERIA
@@ -124,9 +128,6 @@ class Sumo:
 
     def files(self, document: bytes) -> tuple[tuple[str, bytes], ...]:
         return ((INPUT, document),)
-
-    def environment(self) -> Mapping[str, str]:
-        return {}
 
     def _find(self, template: TemplateView, path: str) -> tuple[str, ...]:
         return template.find(f"{self._prefix}{path}")
@@ -156,14 +157,14 @@ class Sumo:
             return self._option(template, "processing", "scale", str(value))
         attribute, wanted = ATTRIBUTES[name], f"[@id='{self._options.flow}']" if self._options.flow else ""
         paths = [f"{routes}:/*/flow{wanted}" for routes in self._routes]
-        found = [f"{path}/@{attribute}" for path in paths for _ in template.find(f"{path}/@id")]
+        flows = [f"{path}/@{attribute}" for path in paths for _ in template.find(f"{path}/@id")]
         if not self._routes:
             raise QueryError(f'{name} needs the routes as a template, as in: templates = {{ routes = "my.rou.xml" }}')
-        if len(found) != 1:
-            raise QueryError(f"{name}: {len(found)} flows are selected; set flow in [platforms.sumo] to the id of one")
-        if not template.find(found[0]):
+        if len(flows) != 1:
+            raise QueryError(f"{name}: {len(flows)} flows are selected; set flow in [platforms.sumo] to the id of one")
+        if not template.find(flows[0]):
             raise QueryError(f"{name}: the flow has no {attribute}, and may have another rate; give it {attribute}")
-        return Set(found[0], str(value), expect=1, why=name)
+        return Set(flows[0], str(value), expect=1, why=name)
 
     def _check_beside(self, option: str, name: str) -> None:
         there = os.path.normpath(f"{self._folder}/{name}" if self._folder else name)
@@ -181,7 +182,3 @@ def _configuration(project: Project) -> tuple[str, str]:
     if len(found) != 1:
         raise ConfigError(f'platform "sumo" needs one configuration, as in: template = "traffic{ENDING}"')
     return found[0]
-
-
-def _plain(value: float) -> str:
-    return repr(value).removesuffix(".0")

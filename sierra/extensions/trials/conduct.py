@@ -20,7 +20,7 @@ from sierra.execution import commands, on_robots
 from sierra.execution.plan import context
 from sierra.execution.session_steps import Core, Outcome
 from sierra.extensions.trials import facts, poses
-from sierra.extensions.trials.order import Turn, order_seed, ordered
+from sierra.extensions.trials.order import OrderedRun, order_seed, ordered
 from sierra.extensions.trials.supervisor import Ended, Start, Supervisor, Trial, Verdict
 from sierra.extensions.trials.table import Trials
 from sierra.extensions.trials.watched_runner import WatchedRunner
@@ -78,14 +78,14 @@ class Conduct:
             self._outcome.interrupted = True
         return self._outcome
 
-    def _conduct_block(self, pending: deque[Turn]) -> None:
+    def _conduct_block(self, pending: deque[OrderedRun]) -> None:
         """Execute a block; trials that are not valid are repeated at its end."""
         while pending and not self._outcome.interrupted and not self._core.is_enough():
             turn = pending.popleft()
             if not self._tried(turn):
                 pending.append(turn)
 
-    def _tried(self, turn: Turn) -> bool:
+    def _tried(self, turn: OrderedRun) -> bool:
         """Execute a trial, or leave it out; return False if it is to be repeated.
 
         If it cannot begin, for example because a robot is lost, the person decides. Raises Missing without a person.
@@ -108,7 +108,7 @@ class Conduct:
         """Return the id of the next execution of a run."""
         return commands.execution_id(self._session.id, run.id, self._tries.get(run.id, 0))
 
-    def _prepared(self, turn: Turn, runner: Runner) -> tuple[Trial, TrialRow]:
+    def _prepared(self, turn: OrderedRun, runner: Runner) -> tuple[Trial, TrialRow]:
         """Return a trial as it is presented, and the row that is recorded with its execution. `runner` executes it."""
         run, trials, root = turn.run, self._trials, self._plan.project.root
         values = self._plan.batch.experiments[run.experiment].values

@@ -33,14 +33,14 @@ def of_commands(trials: Trials, root: Path) -> dict[str, str]:
 
 
 def _printed(name: str, argv: tuple[str, ...], root: Path) -> str:
-    place = f"[trials.commands] {name}: {argv[0]}"
+    command = f"[trials.commands] {name}: {argv[0]}"
     try:
         ended = subprocess.run(argv, cwd=root, stdin=subprocess.DEVNULL, capture_output=True, timeout=TIMEOUT_S, check=False)
     except OSError as error:
-        raise Missing(f"{place} cannot be started: {error.strerror}") from error
+        raise Missing(f"{command} cannot be started: {error.strerror}") from error
     except subprocess.TimeoutExpired as error:
-        raise Missing(f"{place} did not end within {TIMEOUT_S:g} s") from error
+        raise Missing(f"{command} did not end within {TIMEOUT_S:g} s") from error
     if ended.returncode:
         said = ended.stderr.decode("utf-8", "replace").strip().splitlines()[-1:]
-        raise Missing(": ".join([f"{place} ended with status {ended.returncode}", *said]))
+        raise Missing(": ".join([f"{command} ended with status {ended.returncode}", *said]))
     return ended.stdout.decode("utf-8", "replace").strip()[:KEPT]

@@ -15,7 +15,7 @@ from sierra.extensions.trials.table import Trials
 from sierra.model import Batch, Run
 
 
-class Turn(NamedTuple):
+class OrderedRun(NamedTuple):
     """A run's place in the order."""
 
     block: int
@@ -28,18 +28,18 @@ def order_seed(batch: Batch) -> int:
     return int(batch.id[:8], 16)
 
 
-def ordered(batch: Batch, trials: Trials) -> list[Turn]:
+def ordered(batch: Batch, trials: Trials) -> list[OrderedRun]:
     """Return the runs of a batch, each once, in the order in which they are executed."""
     unique = list({run.id: run for run in reversed(batch.runs)}.values())[::-1]
     if trials.order == "as-designed":
-        return [Turn(0, run) for run in unique]
+        return [OrderedRun(0, run) for run in unique]
     generator = random.Random(f"order {order_seed(batch)}")
     if trials.order == "random":
-        return [Turn(0, run) for run in _shuffled(unique, generator)]
+        return [OrderedRun(0, run) for run in _shuffled(unique, generator)]
     blocks: dict[int, list[Run]] = {}
     for run in unique:
         blocks.setdefault(run.number // trials.block, []).append(run)
-    return [Turn(block, run) for block in sorted(blocks) for run in _shuffled(blocks[block], generator)]
+    return [OrderedRun(block, run) for block in sorted(blocks) for run in _shuffled(blocks[block], generator)]
 
 
 def _shuffled(runs: Iterable[Run], generator: random.Random) -> Sequence[Run]:

@@ -55,17 +55,17 @@ def section(state: BatchState) -> Section | None:
     return Section("trials", "Trials", joined(_lines(state, found))) if found else None
 
 
-def _lines(state: BatchState, found: Sequence[_Trial]) -> Iterator[Markup]:
-    invalid, stopped = sum(one.invalid for one in found), sum(bool(one.stopped) for one in found)
-    text = f"{counted(len(found), 'trial')}, of which {invalid:,} {'is' if invalid == 1 else 'are'} not valid"
+def _lines(state: BatchState, trials: Sequence[_Trial]) -> Iterator[Markup]:
+    invalid, stopped = sum(trial.invalid for trial in trials), sum(bool(trial.stopped) for trial in trials)
+    text = f"{counted(len(trials), 'trial')}, of which {invalid:,} {'is' if invalid == 1 else 'are'} not valid"
     yield element("p", f"{text}. The operator stopped {stopped:,}. Trials that are not valid are in no number.")
-    named = {"operators": [one.operator for one in found], "arenas": [one.arena for one in found]}
-    named["order"] = [one.order_rule for one in found]
+    named = {"operators": [trial.operator for trial in trials], "arenas": [trial.arena for trial in trials]}
+    named["order"] = [trial.order_rule for trial in trials]
     yield facts({name: few(list(dict.fromkeys(filter(None, values))), SHOWN) for name, values in named.items()})
-    remarkable = [one for one in found if one.is_remarkable]
+    remarkable = [trial for trial in trials if trial.is_remarkable]
     if remarkable:
         headers = ("run", "number", "ended", "decided", "operator", "counts", "stopped", "reason", "note")
-        rows = [_row(one) for one in remarkable[:SHOWN]]
+        rows = [_row(trial) for trial in remarkable[:SHOWN]]
         yield filled_table(headers, rows, "Trials that do not count, were stopped, did not succeed, or have a note", (1,))
     if len(remarkable) > SHOWN:
         yield note(f"The first {SHOWN} of {len(remarkable)} are listed.")

@@ -186,11 +186,11 @@ def _heading(trial: Trial) -> Iterator[str]:
     again = f", try {trial.attempt + 1}" if trial.attempt else ""
     block = f" (block {trial.block + 1} of {trial.blocks})" if trial.blocks > 1 else ""
     yield f"trial {trial.position} of {trial.total}{block}: {values}{', ' if values else ''}run {trial.number}{again}"
-    for place, pose in enumerate(trial.poses, 1):
+    for robot, pose in enumerate(trial.poses, 1):
         heading = "" if pose.heading is None else f", heading {pose.heading:g} degrees"
-        yield f"  {_numbered(place, trial.robots)}: x {pose.x:g} m, y {pose.y:g} m{heading}"
-    if others := [place for place in sorted(trial.robots) if not 0 < place <= len(trial.poses)]:
-        named = ", ".join(_numbered(place, trial.robots) for place in others)
+        yield f"  {_numbered(robot, trial.robots)}: x {pose.x:g} m, y {pose.y:g} m{heading}"
+    if others := [robot for robot in sorted(trial.robots) if not 0 < robot <= len(trial.poses)]:
+        named = ", ".join(_numbered(robot, trial.robots) for robot in others)
         yield f"{'without a pose' if trial.poses else 'robots'}: {named}"
     for name, text in trial.facts.items():
         yield f"{name}: {text}"

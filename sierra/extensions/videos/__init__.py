@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from sierra.api import Project
     from sierra.execution.observer import Observer
     from sierra.extensions.videos.capture_runs import Captures
-    from sierra.extensions.videos.render import Made
+    from sierra.extensions.videos.render import RenderedVideos
 
 
 def videos(
@@ -23,7 +23,7 @@ def videos(
     names: Sequence[str] = (),
     jobs: int | None = None,
     progress: Callable[[int, int, str], None] = lambda done, frames, what: None,
-) -> Made:
+) -> RenderedVideos:
     """Make the videos `[videos.NAME]` of a batch, or of two side by side, all or those with these names.
 
     Batches are prefixes or names of queries, by default the last batch; of two, also as `LABEL=PREFIX`. Notes say what could
@@ -39,11 +39,11 @@ def videos(
         raise UsageError(f"a video shows two batches at most, not {len(batches)}")
     if not batches and names:
         return _of_names(project, names, slots(jobs), progress)
-    found = project.groups_of(batches) if len(batches) == 2 else {"": project.batch(*batches)}
-    return render.videos(project.loaded, project.store, found, names, jobs=slots(jobs), progress=progress)
+    groups = project.groups_of(batches) if len(batches) == 2 else {"": project.batch(*batches)}
+    return render.videos(project.loaded, project.store, groups, names, jobs=slots(jobs), progress=progress)
 
 
-def _of_names(project: Project, names: Sequence[str], jobs: int, progress: Callable[[int, int, str], None]) -> Made:
+def _of_names(project: Project, names: Sequence[str], jobs: int, progress: Callable[[int, int, str], None]) -> RenderedVideos:
     """Make the videos with these names, each of the last batches of its queries, or else of the last batch."""
     from sierra.deliverables import comparison
     from sierra.execution.batches_of_queries import BatchesOfQueries
@@ -53,13 +53,13 @@ def _of_names(project: Project, names: Sequence[str], jobs: int, progress: Calla
     by_query: dict[tuple[str, ...], list[str]] = {}
     for name in names:
         by_query.setdefault(tuple(declared[name].query) if name in declared else (), []).append(name)
-    made = []
+    rendered = []
     for words, some in by_query.items():
         batches = comparison.of_queries(queries, words) if words else {"": project.batch()}
         if len(batches) > 2:
             raise UsageError(f"[videos.{some[0]}] query: a video shows two batches at most, not {len(batches)}")
-        made.append(render.videos(project.loaded, project.store, batches, some, jobs=jobs, progress=progress))
-    return render.joined(made)
+        rendered.append(render.videos(project.loaded, project.store, batches, some, jobs=jobs, progress=progress))
+    return render.joined(rendered)
 
 
 def capture(

@@ -81,6 +81,6 @@ def _print(answer: Captures) -> None:
         return
     if answer.known:
         note(f"{counted(answer.known, 'run')} captured before by the same rendering (--again captures them again)")
-    rows = [[short(one.run), short(one.execution), one.frames, one.verdict, one.reason or ""] for one in answer.made]
+    rows = [[short(run.run), short(run.execution), run.frames, run.verdict, run.reason or ""] for run in answer.made]
     if rows:
         table(["run", "execution", "frames", "other outputs", "reason"], rows, right=["frames"])

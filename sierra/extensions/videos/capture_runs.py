@@ -26,7 +26,7 @@ from sierra.replay.verdicts import Compared, Replay
 from sierra.store import captures
 from sierra.store.recorded_files import ChosenExecution, take
 from sierra.store.row_types import CaptureRow, RenderingRow
-from sierra.store.store import Found, Store
+from sierra.store.store import ResolvedId, Store
 from sierra.util.hashing import short
 from sierra.util.lazy_definitions import dataclass
 
@@ -76,8 +76,8 @@ def capture(
     if not os.access(store.paths.root, os.W_OK):
         raise Missing(f"cannot write to {store.paths.root}, where frames are recorded")
     recover.finish_dead(store, observer or Observer())
-    found = store.resolve(prefix)
-    batch = found.batch or found.id
+    resolved = store.resolve(prefix)
+    batch = resolved.batch or resolved.id
     project = targets.of_batch(project, store, batch)
     spec = plan_from_record.spec(store, batch)
     if spec.robots is not None:
@@ -85,21 +85,21 @@ def capture(
     rendered = _Recorded(project, spec)
     if options.runner == "local" and (spec.image is None or options.engine == "none"):
         check_display(rendered.rendering)
-    chosen = _chosen(store, found, options)
-    for one, files in plan_from_record.inputs(store, chosen):
-        rendered.identities[one.run], rendered.rates[one.run] = rendered.identity(files), rendered.ticks_per_second(files)
+    chosen = _chosen(store, resolved, options)
+    for row, files in plan_from_record.inputs(store, chosen):
+        rendered.identities[row.run], rendered.rates[row.run] = rendered.identity(files), rendered.ticks_per_second(files)
     known = set() if options.again else _known(store, chosen, rendered.identities)
-    rest = frozenset(one.run for one in chosen) - known
+    rest = frozenset(row.run for row in chosen) - known
     if not rest:
         return Captures(batch, (), len(known))
     rendered.finished = _finished(store, rendered.identities, rest)
     as_replay = ReplayOptions(options.slots, None, options.runner, options.engine, only=rest, variation=rendered)
     answer = replay.replay(project, store, prefix, as_replay, observer)
-    made = captures.of_executions(store, [str(run.execution) for run in answer.runs])
-    return Captures(batch, tuple(made), len(known), answer.notes, answer.interrupted)
+    captured = captures.of_executions(store, [str(run.execution) for run in answer.runs])
+    return Captures(batch, tuple(captured), len(known), answer.notes, answer.interrupted)
 
 
-def _chosen(store: Store, found: Found, options: CaptureOptions) -> list[ChosenExecution]:
+def _chosen(store: Store, found: ResolvedId, options: CaptureOptions) -> list[ChosenExecution]:
     """Return the measured executions that are captured. Raises NotFound if there is none."""
     with store.snapshot() as snapshot:
         named = take(snapshot, found)
@@ -151,7 +151,7 @@ class _Recorded(RenderedRuns):
             snapshot.views.make(("artifacts", "executions"))
             frames = Counter(str(row[0]) for row in snapshot.run(WRITTEN, executions) if self.is_frame(row[1]))
             ends = {row[0]: _Ended(*row[1:]) for row in snapshot.run(ENDED, executions)}
-        for place, run in enumerate(answer.runs):
+        for index, run in enumerate(answer.runs):
             execution = str(run.execution)
             end = ends.get(execution) or _Ended(answer.id)
             verdict, reason = self._verdict(run, frames[execution], end.reason)
@@ -167,7 +167,7 @@ class _Recorded(RenderedRuns):
                 ticks_per_second=self.rates[run.taken.run],
                 verdict=verdict,
                 reason=reason,
-                lamport=lamport + place,
+                lamport=lamport + index,
             )
 
     def _verdict(self, run: Compared, frames: int, end: str) -> tuple[Verdict, str | None]:
@@ -178,8 +178,8 @@ class _Recorded(RenderedRuns):
             return Verdict.DIFFERENT, NOTHING_ELSE
         if run.verdict is Verdict.IDENTICAL:
             return run.verdict, None
-        found = next(((path, one.reason) for path, one in run.outputs.items() if one.verdict is run.verdict), (None, ""))
-        words = [*(str(part) for part in found if part), *([end] if end else [])]
+        cause = next(((path, file.reason) for path, file in run.outputs.items() if file.verdict is run.verdict), (None, ""))
+        words = [*(str(part) for part in cause if part), *([end] if end else [])]
         return run.verdict, ": ".join(words) or None
 
 

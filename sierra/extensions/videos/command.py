@@ -14,7 +14,7 @@ from sierra.errors import UsageError
 
 if TYPE_CHECKING:
     from sierra.api import Project
-    from sierra.extensions.videos.render import Made as MadeVideos
+    from sierra.extensions.videos.render import RenderedVideos
 
 
 def video(
@@ -85,8 +85,8 @@ def video(
     opened = project()
     batches, names = _split(opened, words or [])
     with counting(quiet=quiet) as progress:
-        made = videos(opened, *batches, names=names, jobs=jobs, progress=progress)
-    _print(made, as_json=as_json)
+        rendered = videos(opened, *batches, names=names, jobs=jobs, progress=progress)
+    _print(rendered, as_json=as_json)
 
 
 def left_out(
@@ -96,16 +96,16 @@ def left_out(
     return "video" if no_videos else None
 
 
-def _print(made: MadeVideos, *, as_json: bool) -> None:
+def _print(rendered: RenderedVideos, *, as_json: bool) -> None:
     """Print the files and the notes; end with exit status 1 if a video could not be made."""
-    for text in made.notes:
+    for text in rendered.notes:
         note(text)
     if as_json:
-        print_json({"files": [str(path) for path in made.files], "notes": made.notes})
+        print_json({"files": [str(path) for path in rendered.files], "notes": rendered.notes})
     else:
-        for path in made.files:
+        for path in rendered.files:
             print(from_here(path))
-    if not made.complete:
+    if not rendered.complete:
         raise typer.Exit(1)
 
 

@@ -24,7 +24,7 @@ def write(prepared: Prepared, folder: Path, jobs: int, progress: Progress) -> tu
     """Write all files of a video into a folder, `jobs` at a time; return their paths. Raises SierraError."""
     from sierra.extensions.videos.painting.scene import settings
 
-    work = [(one, format) for one in prepared.films for format in prepared.video.formats]
+    work = [(ready, format) for ready in prepared.films for format in prepared.video.formats]
     told = Counter(prepared.frames, progress, DRAWN)
     first, *others = prepared.batches.values()
     origin = origin_of(first, prepared.data, *others)
@@ -50,22 +50,22 @@ def _of_times(one: Ready, folder: Path) -> list[Path]:
     return [folder / f"{fitting(f'{one.film.name}-{time}={t:.{precision}g}')}.png" for t in one.times.tolist()]
 
 
-def frames(prepared: Prepared, one: Ready) -> Iterator[Image]:
+def frames(prepared: Prepared, ready: Ready) -> Iterator[Image]:
     """Yield the frames of one film."""
     from sierra.deliverables.figures import style
     from sierra.extensions.videos.painting.scene import Scene, Words
 
-    video, film = prepared.video, one.film
+    video, film = prepared.video, ready.film
     title = ", ".join(filter(None, (video.title, film.title)))
-    words = Words(title, [panel.label for panel in film.panels], "; ".join(small_print(prepared, one)))
+    words = Words(title, [panel.label for panel in film.panels], "; ".join(small_print(prepared, ready)))
     width, height = (side + side % 2 for side in video.size)
-    scene = Scene((width, height), words, one.subject.painter(film, prepared.whole, one.subject.tracks))
-    unit, precision = one.subject.unit and f" {one.subject.unit}", digits(one.times)
+    scene = Scene((width, height), words, ready.subject.painter(film, prepared.whole, ready.subject.tracks))
+    unit, precision = ready.subject.unit and f" {ready.subject.unit}", digits(ready.times)
     for time, states in zip(
-        one.times.tolist(), aligned(one.subject.tracks, one.times, carry=video.step is not None), strict=True
+        ready.times.tolist(), aligned(ready.subject.tracks, ready.times, carry=video.step is not None), strict=True
     ):
         shown, numbers = zip(*(panel.state(states) for panel in film.panels), strict=True)
-        text = f"{one.subject.time.replace('_', ' ')} = {style.number(time, precision)}{unit}{_count(film, numbers)}"
+        text = f"{ready.subject.time.replace('_', ' ')} = {style.number(time, precision)}{unit}{_count(film, numbers)}"
         yield scene.frame(text, shown)
 
 

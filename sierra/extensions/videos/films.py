@@ -95,19 +95,19 @@ def films(name: str, video: Video, members: Members) -> tuple[list[Film], list[s
         return [_difference(name, video, members)], []
     experiments = members.matching(video.experiments, "experiments")
     called_by = file_names(name, members)
-    made: list[Film] = []
+    complete: list[Film] = []
     failed: list[str] = []
     for experiment in experiments:
         called = called_by[experiment]
         try:
-            made.append(film_of(called, video, members, experiment))
+            complete.append(film_of(called, video, members, experiment))
         except DamagedFile:
             raise
         except SierraError as error:
             failed.append(f"video {called}: {error}")
-    if not made:
+    if not complete:
         raise SierraError("; ".join(failed).replace(f"video {name}: ", ""))
-    return made, failed
+    return complete, failed
 
 
 def file_names(name: str, members: Members) -> dict[int, str]:
@@ -121,9 +121,9 @@ def file_names(name: str, members: Members) -> dict[int, str]:
         experiment: "-".join([name, *(f"{axis.name}={members.names[experiment][axis.name]}" for axis in members.axes)])
         for experiment in members.cells
     }
-    found = {experiment: UNFIT.sub("_", text) for experiment, text in values.items()}
-    counts = Counter(text.lower() for text in found.values())
-    return {k: text if counts[text.lower()] == 1 else f"{text}_experiment{k}" for k, text in found.items()}
+    texts = {experiment: UNFIT.sub("_", text) for experiment, text in values.items()}
+    counts = Counter(text.lower() for text in texts.values())
+    return {k: text if counts[text.lower()] == 1 else f"{text}_experiment{k}" for k, text in texts.items()}
 
 
 def film_of(name: str, video: Video, members: Members, experiment: int) -> Film:
@@ -163,7 +163,7 @@ def _difference(name: str, video: Video, members: Members) -> Film:
         chosen += good
         labels.append(f"{letter}: {members.label(experiments[0])}")
         notes.append(f"{letter}: {f'run {video.run}' if video.run is not None else f'mean over {_number(every, good)}'}")
-        notes += [f"{letter}: {one}" for one in _lost(every, good)]
+        notes += [f"{letter}: {note}" for note in _lost(every, good)]
     a, b = sides
     return Film(name, "", tuple(chosen), (Panel(labels[0], a), Panel(labels[1], b), Panel("A − B", a, b)), tuple(notes))
 

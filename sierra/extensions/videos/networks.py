@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from sierra.errors import UsageError
-from sierra.extensions.videos.sql_tracks import Columns, Rows, Source
+from sierra.extensions.videos.sql_tracks import Columns, Rows, TrackSource
 from sierra.extensions.videos.table import Video
 from sierra.store.samples import ChosenRun
 from sierra.store.sql_names import identifier, node_name, quote
@@ -32,7 +32,7 @@ NODES, EDGES, ARROWS = 500, 10_000, 1000
 class Networks:
     """The networks of some runs, whose nodes have common numbers."""
 
-    def __init__(self, source: Source, video: Video, runs: Sequence[ChosenRun]) -> None:
+    def __init__(self, source: TrackSource, video: Video, runs: Sequence[ChosenRun]) -> None:
         import numpy as np
 
         source.check(video.columns, numeric=False)
@@ -54,17 +54,17 @@ class Networks:
 
     def _nodes(self, ends: Sequence[str], runs: Sequence[ChosenRun]) -> list[str]:
         """Return the names of all nodes in their natural order. Raises UsageError if there are none, or too many."""
-        found: set[str] = set()
+        names: set[str] = set()
         for run in runs:
             relation = self.source.relation(run)
             each = " UNION ALL ".join(f"SELECT {end} AS node FROM {relation}" for end in ends)
             table = self.source.sql(f"SELECT DISTINCT node FROM ({each}) WHERE node IS NOT NULL LIMIT {NODES + 1}")
-            found.update(table.column("node").to_pylist())
-            if len(found) > NODES:
+            names.update(table.column("node").to_pylist())
+            if len(names) > NODES:
                 raise UsageError(f"a network of more than {NODES} nodes cannot be read; choose some by sql")
-        if not found:
+        if not names:
             raise UsageError(f"output {self.source.output.name!r} has no node in {' or '.join(self.video.columns[:2])}")
-        return sorted(found, key=natural)
+        return sorted(names, key=natural)
 
     def _counts(self, ends: Sequence[str]) -> dict[str, int]:
         """Return the number of rows that are not drawn as edges, by the reason."""
@@ -119,7 +119,7 @@ class _Network:
             edges = self._edges(columns, place)
             yield self._nodes(columns, edges, place), edges, self._network.names
 
-    def _edges(self, columns: Columns, place: int) -> Floats:
+    def _edges(self, columns: Columns, frame: int) -> Floats:
         """Return the edges with their mean weights, in the order of the nodes. Raises UsageError if there are too many."""
         import numpy as np
 
@@ -132,11 +132,11 @@ class _Network:
         most = ARROWS if self._network.video.directed else EDGES
         pairs, inverse, counts = np.unique(ends, axis=0, return_inverse=True, return_counts=True)
         if len(pairs) > most:
-            raise UsageError(f"{self._where(place)}: {len(pairs)} edges cannot be read; at most {most} are possible")
+            raise UsageError(f"{self._where(frame)}: {len(pairs)} edges cannot be read; at most {most} are possible")
         means = np.bincount(inverse.ravel(), weight[good], len(pairs)) / np.maximum(counts, 1)
         return np.column_stack([pairs.astype(np.float64).reshape(-1, 2), means])
 
-    def _nodes(self, columns: Columns, edges: Floats, place: int) -> Floats:
+    def _nodes(self, columns: Columns, edges: Floats, frame: int) -> Floats:
         """Return a row for each node of the film: x, y and value, the means over the rows of which it is the source."""
         import numpy as np
 
@@ -149,7 +149,7 @@ class _Network:
         ends = edges[:, :2].astype(np.int64).ravel()
         if self._network.video.place and len(lost := ends[~np.isfinite(nodes[ends, :2]).all(axis=1)]):
             name = self._network.nodes[int(lost[0])]
-            raise UsageError(f"{self._where(place)}: node {name!r} has an edge but no position; it needs a row as a source")
+            raise UsageError(f"{self._where(frame)}: node {name!r} has an edge but no position; it needs a row as a source")
         return nodes
 
     def _where(self, place: int) -> str:

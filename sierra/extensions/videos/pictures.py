@@ -74,21 +74,21 @@ class PictureTrack(Protocol):
 def pictures(frame: Frame, name: str, output: Output, run: ChosenRun, per_second: float) -> Pictures | VideoFile:
     """Return the pictures that a run left in the files of an output. Raises UsageError or SierraError, naming run and file."""
     where = f"run {run.number} of experiment {run.experiment}"
-    found = [file for file in frame.files_of_run(run) if output.matches(_path(file))]
-    if not found:
+    matching = [file for file in frame.files_of_run(run) if output.matches(_path(file))]
+    if not matching:
         raise UsageError(f"{where}: no file {output.file!r} (output {name!r})")
     ending = PurePosixPath(output.file).suffix[1:].lower()
     if output.kind in extensions.added("pictures") and not output.archive:
-        return PicturesWithin(frame, where, name, output, found)
+        return PicturesWithin(frame, where, name, output, matching)
     if ending in IMAGES:
-        return ImageFiles(frame, where, output, found, per_second)
+        return ImageFiles(frame, where, output, matching, per_second)
     if ending not in VIDEOS:
         raise UsageError(
             f"output {name!r}: {output.file!r} is no image or video file; {like(ending, [*IMAGES, *VIDEOS], 'endings are')}"
         )
-    if len(found) > 1:
-        raise UsageError(f"{where}: {len(found)} files {output.file!r}; a run needs one video file (output {name!r})")
-    return VideoFile(frame, where, found[0])
+    if len(matching) > 1:
+        raise UsageError(f"{where}: {len(matching)} files {output.file!r}; a run needs one video file (output {name!r})")
+    return VideoFile(frame, where, matching[0])
 
 
 def _path(file: Recorded) -> str:
@@ -174,13 +174,13 @@ class PicturesWithin(Pictures):
             raise UsageError(f"{where}: {len(own)} files {output.file!r}; a video needs one (output {name!r})")
         (file,) = _extracted(frame, where, [*own.values()])
         try:
-            found = extensions.load("pictures", output.kind)(file.path, _path(files[0]), output)
+            images = extensions.load("pictures", output.kind)(file.path, _path(files[0]), output)
         except UnreadableError as error:
             raise UsageError(f"{file.where}: {error} (output {name!r})") from error
-        if not found:
+        if not images:
             raise UsageError(f"{file.where}: has no picture (output {name!r})")
-        shown = [_Extracted(f"{file.where}, picture {k}", one.sha256, one.path) for k, one in enumerate(found)]
-        super().__init__(shown, np.array([one.time - found[0].time for one in found], np.float64) / 1e9)
+        shown = [_Extracted(f"{file.where}, picture {k}", picture.sha256, picture.path) for k, picture in enumerate(images)]
+        super().__init__(shown, np.array([picture.time - images[0].time for picture in images], np.float64) / 1e9)
 
 
 def _missing(where: str, output: Output, ticks: Sequence[int]) -> str:
@@ -240,12 +240,12 @@ class _ImageReader:
     def __init__(self, files: Sequence[_Extracted], size: tuple[int, int]) -> None:
         self._files, self._size = files, size
 
-    def read(self, place: int) -> Image:
+    def read(self, index: int) -> Image:
         import numpy as np
         from PIL import Image as Pillow
         from PIL import ImageOps
 
-        file = self._files[place]
+        file = self._files[index]
         try:
             with Pillow.open(file.path, formats=FORMATS) as stored:
                 image = ImageOps.exif_transpose(stored)

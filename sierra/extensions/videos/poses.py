@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from sierra.errors import UsageError
-from sierra.extensions.videos.sql_tracks import Rows, Source, Stacked
+from sierra.extensions.videos.sql_tracks import Rows, Stacked, TrackSource
 from sierra.extensions.videos.table import Video
 from sierra.store.samples import ChosenRun
 from sierra.store.sql_names import identifier, quote
@@ -19,14 +19,14 @@ if TYPE_CHECKING:
 class Poses:
     """The poses of the robots of each run: a row for each robot and time."""
 
-    def __init__(self, source: Source, video: Video, runs: Sequence[ChosenRun]) -> None:
+    def __init__(self, source: TrackSource, video: Video, runs: Sequence[ChosenRun]) -> None:
         source.check(video.columns, numeric=True)
         self.columns = video.columns
         if video.robot:
             source.check((video.robot,), numeric=False)
         self.robots = _robots(source, video.robot, runs) if video.robot else []
         """The names of robots in their natural order, if a column has them."""
-        expressions = {f"c{place}": f"{identifier(name)}::DOUBLE" for place, name in enumerate(video.columns)}
+        expressions = {f"c{index}": f"{identifier(name)}::DOUBLE" for index, name in enumerate(video.columns)}
         if self.robots:
             members = ", ".join(map(quote, self.robots))
             expressions["robot"] = f"enum_code({identifier(video.robot)}::VARCHAR::ENUM({members}))::DOUBLE"
@@ -45,7 +45,7 @@ class _Poses(Stacked):
             yield columns[:, :-1], columns[:, -1]
 
 
-def _robots(source: Source, robot: str, runs: Sequence[ChosenRun]) -> list[str]:
+def _robots(source: TrackSource, robot: str, runs: Sequence[ChosenRun]) -> list[str]:
     found: set[str] = set()
     for run in runs:
         names = f"SELECT DISTINCT {identifier(robot)}::VARCHAR AS robot FROM {source.relation(run)}"
@@ -53,7 +53,7 @@ def _robots(source: Source, robot: str, runs: Sequence[ChosenRun]) -> list[str]:
     return sorted(found, key=natural)
 
 
-def _check_once(source: Source, rows: Rows, robot: str) -> None:
+def _check_once(source: TrackSource, rows: Rows, robot: str) -> None:
     """Raise UsageError if a robot has two poses at one time."""
     table = source.sql(
         f'SELECT "# t" AS t, {identifier(robot)}::VARCHAR AS robot, count(*) AS rows FROM {rows.relation} '

@@ -65,14 +65,14 @@ class Prepared:
     def content(self) -> Content:
         """Return everything that the files depend on."""
         shown: dict[str, JsonView] = {
-            one.film.name: {
-                "title": one.film.title,
-                "panels": [panel.label for panel in one.film.panels],
-                "notes": list(small_print(self, one)),
-                "time": one.subject.time,
-                "unit": one.subject.unit,
+            film.film.name: {
+                "title": film.film.title,
+                "panels": [panel.label for panel in film.film.panels],
+                "notes": list(small_print(self, film)),
+                "time": film.subject.time,
+                "unit": film.subject.unit,
             }
-            for one in self.films
+            for film in self.films
         }
         definition: dict[str, JsonView] = {
             "version": VERSION,
@@ -80,7 +80,7 @@ class Prepared:
             "files": shown,
             **({"name": self.name, "batches": list(self.batches)} if len(self.batches) > 1 else {}),
         }
-        sql = "\n\n".join(dict.fromkeys(one.subject.sql for one in self.films))
+        sql = "\n\n".join(dict.fromkeys(film.subject.sql for film in self.films))
         own = self.name if len(self.batches) == 1 else overlay.name_of(self.name, self.batches)
         return Content(KIND, own, tuple(self.batches.values()), definition, sql, self.data, _made_by())
 
@@ -112,12 +112,12 @@ def prepare(name: str, video: Video, galleries: Mapping[str, Gallery], progress:
     told = Counter(sum(len(times) for *_, times in shown), progress, READ)
     ready, whole = [], Survey()
     for film, subject, times in shown:
-        found = survey(film, subject.tracks, times, carry=video.step is not None, seen=told.add)
-        ready.append(Ready(film, subject, times, found))
-        whole = whole.joined(found)
+        facts = survey(film, subject.tracks, times, carry=video.step is not None, seen=told.add)
+        ready.append(Ready(film, subject, times, facts))
+        whole = whole.joined(facts)
     batches = {label: gallery.frame.batch for label, gallery in galleries.items()}
     prepared = Prepared(name, video, batches, tuple(ready), whole, (), not failed)
-    said = (f"video {one.film.name}: {note}" for one in ready for note in _told(prepared, one))
+    said = (f"video {ready_film.film.name}: {note}" for ready_film in ready for note in _told(prepared, ready_film))
     return replace(prepared, notes=(*notes, *failed, *said))
 
 
@@ -148,17 +148,17 @@ def _told(prepared: Prepared, one: Ready) -> list[str]:
     return [*one.film.notes, *_on_times(prepared, one), *one.subject.left_out()]
 
 
-def _on_times(prepared: Prepared, one: Ready) -> list[str]:
+def _on_times(prepared: Prepared, ready: Ready) -> list[str]:
     """Return notes on times that frames do not show as they are."""
     from sierra.deliverables.figures import style
 
-    notes = [f"{one.found.gaps} of {len(one.times)} frames lack data of a panel"] if one.found.gaps else []
+    notes = [f"{ready.found.gaps} of {len(ready.times)} frames lack data of a panel"] if ready.found.gaps else []
     if prepared.video.step is not None:
         return [
-            f"a frame each {prepared.video.step:g}{one.subject.unit and f' {one.subject.unit}'}, with the last values",
+            f"a frame each {prepared.video.step:g}{ready.subject.unit and f' {ready.subject.unit}'}, with the last values",
             *notes,
         ]
-    if steps := uneven(one.times):
+    if steps := uneven(ready.times):
         low, high = map(style.number, steps)
         return [f"times are uneven: {low} to {high} between frames (step makes them even)", *notes]
     return notes

@@ -37,7 +37,7 @@ MARK = "Figures drawn by SIERRA: see the table deliverables."
 
 
 @dataclass(frozen=True, slots=True)
-class Made:
+class RenderedVideos:
     """The videos that were made, and notes."""
 
     files: list[Path]
@@ -46,10 +46,10 @@ class Made:
     """False if a video, or the file of an experiment, could not be made; notes say why."""
 
 
-def joined(made: Sequence[Made]) -> Made:
+def joined(made: Sequence[RenderedVideos]) -> RenderedVideos:
     """Return all files and notes, each note once."""
     notes = dict.fromkeys(note for part in made for note in part.notes)
-    return Made([file for part in made for file in part.files], [*notes], all(part.complete for part in made))
+    return RenderedVideos([file for part in made for file in part.files], [*notes], all(part.complete for part in made))
 
 
 def videos(
@@ -60,7 +60,7 @@ def videos(
     *,
     jobs: int = 1,
     progress: Progress = no_progress,
-) -> Made:
+) -> RenderedVideos:
     """Make the videos of a batch, or of two, all or those with these names.
 
     `batches` are by label. `jobs` is the number of files that are made at a time. Notes say what could not be shown and why.
@@ -74,7 +74,7 @@ def videos(
     elif not names:
         wanted = bound.unbound(wanted)
     encode.check({format for video in wanted.values() for format in video.formats})
-    made: list[Path] = []
+    written: list[Path] = []
     complete = True
     with ExitStack() as frames:
         galleries = _galleries(project, store, batches, _tables(wanted), frames)
@@ -96,13 +96,13 @@ def videos(
                     complete = False
                     continue
                 recorder.add(prepared.content(), files)
-                made += files
+                written += files
                 notes += prepared.notes
                 complete &= prepared.complete
         finally:
             notes += _recorded(recorder)
         notes += _once(galleries, lambda one: one.time_notes.values())
-    return Made(made, notes, complete)
+    return RenderedVideos(written, notes, complete)
 
 
 def _galleries(

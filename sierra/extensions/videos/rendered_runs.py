@@ -91,12 +91,12 @@ class RenderedRuns(Variation):
         if not wanted:
             return {}
         names = _names(self._project.config, recorded)
-        made = self._read(recorded).changed(wanted, {}).render()
-        if isinstance(made, bytes):
-            return {names[0]: made}
-        if [name for name, _ in made] != names:
+        rendered = self._read(recorded).changed(wanted, {}).render()
+        if isinstance(rendered, bytes):
+            return {names[0]: rendered}
+        if [name for name, _ in rendered] != names:
             raise TemplateError("[capture] changes: the format of the template makes several files, which cannot be changed")
-        return dict(made)
+        return dict(rendered)
 
     def _read(self, recorded: Files) -> Template:
         """Return the recorded input as a template."""
@@ -141,12 +141,12 @@ def _declared(project: LoadedProject) -> Capture:
 def _rendering(project: LoadedProject, recorded: RunSpec) -> Rendering:
     table, config = _declared(project), project.config
     contained = recorded.image is not None
-    made = config.build.produces if config.build else ()
+    produced = config.build.produces if config.build else ()
     known = (*OWN_PLACEHOLDERS, *PORT_NAMES)
 
     def checked(words: Sequence[str], place: str) -> tuple[str, ...]:
         return commands.checked(
-            words, project.root, place, known, contained=contained, made=made, declared=Declared(), project=config
+            words, project.root, place, known, contained=contained, made=produced, declared=Declared(), project=config
         )
 
     command = checked(table.command, "[capture] command") or recorded.command
@@ -154,12 +154,12 @@ def _rendering(project: LoadedProject, recorded: RunSpec) -> Rendering:
     if own := [name for name in table.environment if name in commands.OWN or name.startswith("SIERRA_")]:
         raise ConfigError(f"[capture] environment {own[0]}: SIERRA sets this variable for each run; use another name")
     with project.plugins("recorded runs are rendered by the platforms of installed packages only"):
-        found = _of_platform(platforms.find(recorded.platform, config), recorded.platform, table, command)
+        rendering = _of_platform(platforms.find(recorded.platform, config), recorded.platform, table, command)
     return replace(
-        found,
-        files=table.files or found.files,
-        environment={**found.environment, **table.environment},
-        display=found.display or (table.size if table.display else None),
+        rendering,
+        files=table.files or rendering.files,
+        environment={**rendering.environment, **table.environment},
+        display=rendering.display or (table.size if table.display else None),
     )
 
 

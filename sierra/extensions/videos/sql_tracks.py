@@ -36,7 +36,7 @@ Columns = Mapping[str, "npt.NDArray[np.generic]"]
 
 
 @dataclass(frozen=True)
-class Source:
+class TrackSource:
     """One output of a batch, as a source of tracks. Several threads may use it; they read one after the other."""
 
     frame: Frame
@@ -93,11 +93,11 @@ def _belongs(output: Output) -> str:
 class Rows:
     """The rows of one run by time. `columns` are SQL expressions by name."""
 
-    def __init__(self, source: Source, run: ChosenRun, columns: Mapping[str, str]) -> None:
+    def __init__(self, source: TrackSource, run: ChosenRun, columns: Mapping[str, str]) -> None:
         self.source, self.run, self._columns = source, run, columns
         self.relation = source.relation(run)
-        found = source.sql(f'SELECT "# t" AS t, count(*) AS rows FROM {self.relation} GROUP BY ALL ORDER BY ALL')
-        t, counts = numpy_of(found.column("t")), numpy_of(found.column("rows"))
+        counted = source.sql(f'SELECT "# t" AS t, count(*) AS rows FROM {self.relation} GROUP BY ALL ORDER BY ALL')
+        t, counts = numpy_of(counted.column("t")), numpy_of(counted.column("rows"))
         import numpy as np
 
         good = np.isfinite(t.astype(np.float64))
@@ -140,7 +140,7 @@ class Rows:
         return f"run {self.run.number} of experiment {self.run.experiment} at {self.source.time} {self._raw[place]:g}"
 
 
-class Content(Protocol):
+class VideoContent(Protocol):
     """The kind of states that a video shows, and the tracks of its runs."""
 
     tracks: Sequence[Track]
@@ -151,7 +151,7 @@ class Content(Protocol):
 class Matrices:
     """Matrices whose cells are rows: number of the row, number of the column, value."""
 
-    def __init__(self, source: Source, video: Video, runs: Sequence[ChosenRun]) -> None:
+    def __init__(self, source: TrackSource, video: Video, runs: Sequence[ChosenRun]) -> None:
         source.check(video.columns, numeric=True)
         self.columns = video.columns
         i, j, value = (f"{identifier(name)}::DOUBLE" for name in video.columns)
@@ -166,7 +166,7 @@ class Matrices:
     def shape(self) -> tuple[int, int]:
         return len(self.up), len(self.across)
 
-    def _places(self, source: Source, expression: str) -> Floats:
+    def _places(self, source: TrackSource, expression: str) -> Floats:
         """Return the numbers of the rows, or of the columns, in any frame."""
         import numpy as np
 
@@ -207,9 +207,9 @@ class _Matrix:
 
         high, wide = self._grid.shape
         last: tuple[Columns, npt.NDArray[np.intp]] | None = None
-        for place, columns in enumerate(self._rows.each()):
+        for index, columns in enumerate(self._rows.each()):
             same = last is not None and all(np.array_equal(columns[name], last[0][name]) for name in ("i", "j"))
-            cells = last[1] if same and last is not None else self._cells(columns, place)
+            cells = last[1] if same and last is not None else self._cells(columns, index)
             last = columns, cells
             values = np.full(high * wide, np.nan if self._fill is None else self._fill)
             values[cells] = columns["value"]
@@ -241,7 +241,7 @@ class _Matrix:
 class Grids:
     """Matrices whose rows are the rows of a table at one time."""
 
-    def __init__(self, source: Source, video: Video, runs: Sequence[ChosenRun]) -> None:
+    def __init__(self, source: TrackSource, video: Video, runs: Sequence[ChosenRun]) -> None:
         import numpy as np
 
         numeric = tuple(name for name in source.output.columns if name != source.time)
@@ -249,7 +249,7 @@ class Grids:
         self.columns = video.columns or numeric
         if not self.columns:
             raise NotFound(f"output {source.output.name!r} has no numeric column beside {source.time!r}")
-        expressions = {f"c{place}": f"{identifier(name)}::DOUBLE" for place, name in enumerate(self.columns)}
+        expressions = {f"c{index}": f"{identifier(name)}::DOUBLE" for index, name in enumerate(self.columns)}
         self.rows = [Rows(source, run, expressions) for run in runs]
         high = next((int(rows.counts[0]) for rows in self.rows if len(rows.counts)), 0)
         for rows in self.rows:

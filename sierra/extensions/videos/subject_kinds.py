@@ -15,7 +15,7 @@ from sierra.extensions.videos.films import Film
 from sierra.extensions.videos.networks import Networks
 from sierra.extensions.videos.pictures import pictures
 from sierra.extensions.videos.poses import Poses
-from sierra.extensions.videos.sql_tracks import Grids, Matrices, Rows, Source, shown_files
+from sierra.extensions.videos.sql_tracks import Grids, Matrices, Rows, TrackSource, shown_files
 from sierra.extensions.videos.survey import Range, Survey
 from sierra.extensions.videos.table import Video
 from sierra.extensions.videos.tracks import uneven
@@ -33,7 +33,7 @@ Layout: TypeAlias = Mapping[str, Sequence[float] | Sequence[str]]
 class Timed:
     """The time of a table, as frames show it, and the units of the columns with `values`."""
 
-    def __init__(self, source: Source, gallery: Gallery, values: Sequence[str]) -> None:
+    def __init__(self, source: TrackSource, gallery: Gallery, values: Sequence[str]) -> None:
         self.source = source
         self.time = source.time
         self.unit = "s" if source.per_second else gallery.unit(source.output, source.time)
@@ -53,7 +53,7 @@ def _left_out(rows: Sequence[Rows]) -> list[str]:
 class CellSubject(Timed):
     """Matrices as colours."""
 
-    def __init__(self, video: Video, gallery: Gallery, source: Source, film: Film) -> None:
+    def __init__(self, video: Video, gallery: Gallery, source: TrackSource, film: Film) -> None:
         self._grid = (Matrices if video.kind == "matrix" else Grids)(source, video, film.runs)
         super().__init__(source, gallery, self._grid.columns[2:] if video.kind == "matrix" else self._grid.columns)
         self._video = video
@@ -112,7 +112,7 @@ class CellSubject(Timed):
 class RobotSubject(Timed):
     """Poses of robots."""
 
-    def __init__(self, video: Video, gallery: Gallery, source: Source, film: Film) -> None:
+    def __init__(self, video: Video, gallery: Gallery, source: TrackSource, film: Film) -> None:
         super().__init__(source, gallery, video.columns)
         self._video = video
         self._poses = Poses(source, video, film.runs)
@@ -155,7 +155,7 @@ class RobotSubject(Timed):
 class NetworkSubject(Timed):
     """Nodes and edges."""
 
-    def __init__(self, video: Video, gallery: Gallery, source: Source, film: Film) -> None:
+    def __init__(self, video: Video, gallery: Gallery, source: TrackSource, film: Film) -> None:
         super().__init__(source, gallery, (*video.columns[2:], *video.place, video.node_value))
         self._video = video
         self._network = Networks(source, video, film.runs)

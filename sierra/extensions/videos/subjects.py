@@ -11,7 +11,7 @@ from sierra.deliverables.gallery import Gallery
 from sierra.errors import UsageError
 from sierra.extensions.videos.captured import CapturedSubject
 from sierra.extensions.videos.films import Film
-from sierra.extensions.videos.sql_tracks import Source
+from sierra.extensions.videos.sql_tracks import TrackSource
 from sierra.extensions.videos.subject_kinds import CellSubject, Layout, NetworkSubject, PictureSubject, RobotSubject
 from sierra.extensions.videos.survey import Survey
 from sierra.extensions.videos.table import Video
@@ -65,10 +65,10 @@ def subjects(video: Video, gallery: Gallery) -> Callable[[Film], Subject]:
             return partial(CellSubject, video, gallery, source)
 
 
-def source_of(video: Video, gallery: Gallery) -> Source:
+def source_of(video: Video, gallery: Gallery) -> TrackSource:
     """Return the table that a video shows. Raises NotFound, or UsageError for a table without a time."""
     output = gallery.output(Figure.model_construct(table=video.table, sql=video.sql, columns=video.columns))
     time = gallery.time(output)
     if not time:
         raise UsageError(f'output {output.name!r} has no time column; set time = "COLUMN" in [outputs.{output.name}]')
-    return Source(gallery.frame, output, time, gallery.ticks_per_second(output.name))
+    return TrackSource(gallery.frame, output, time, gallery.ticks_per_second(output.name))

@@ -89,7 +89,7 @@ def survey(
     """Return the facts about a film. Raises SierraError for data that cannot be shown. `seen` is called after each frame."""
     import numpy as np
 
-    found, digest = Survey(), hashlib.sha256(VERSION)
+    facts, digest = Survey(), hashlib.sha256(VERSION)
     for time, states in zip(times.tolist(), aligned(tracks, times, carry=carry), strict=True):
         digest.update(struct.pack("<d", time))
         gap = False
@@ -104,13 +104,13 @@ def survey(
                 digest.update(np.ascontiguousarray(_plain(part)).data)
             if state[0].dtype.kind != "f":
                 continue  # pictures have no limits
-            found.add_columns(state)
-            (found.differences if panel.minus else found.values).add(state)
-            found.empty += int((~np.isfinite(state[0])).sum())
-        found.gaps += gap
+            facts.add_columns(state)
+            (facts.differences if panel.minus else facts.values).add(state)
+            facts.empty += int((~np.isfinite(state[0])).sum())
+        facts.gaps += gap
         seen()
-    found.data = digest.hexdigest()
-    return found
+    facts.data = digest.hexdigest()
+    return facts
 
 
 def _plain(part: npt.NDArray[Any]) -> npt.NDArray[Any]:

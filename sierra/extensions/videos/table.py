@@ -54,7 +54,7 @@ FASTEST_GIF = 50
 FASTEST, USUAL = 60.0, 25.0
 SHORTEST, LONGEST = 5.0, 20.0
 """The seconds that a video lasts at least and at most if nothing says how fast it is."""
-Side = Annotated[int, Field(ge=160, le=4096)]
+Pixels = Annotated[int, Field(ge=160, le=4096)]
 
 
 def _once(formats: tuple[Format, ...]) -> tuple[Format, ...]:
@@ -120,7 +120,7 @@ class Video(Table):
     node_value: str = Field("", description="column that gives the source of a row its colour; default: one colour")
     title: Title = ""
     label: str = Field("", description="label of the values; default: the name of their column and its unit")
-    size: tuple[Side, Side] = Field((640, 480), description="width and height in pixels; odd sizes are increased by one")
+    size: tuple[Pixels, Pixels] = Field((640, 480), description="width and height in pixels; odd sizes are increased by one")
     fps: Annotated[float, Field(ge=0.1, le=120)] | None = Field(
         None,
         description="frames per second; a `gif` has at most 50; default: 25, or what makes the video last 5 to 20 s, but at "

@@ -42,7 +42,7 @@ class TwoSubjects:
             _check_times(labels, a.tracks, b.tracks)
         self.tracks: Sequence[Track] = (*a.tracks, *b.tracks)
         self.time, self.unit, self.units, self.layout = a.time, a.unit, a.units, a.layout
-        self.sql = "\n\n".join(f"-- batch {label}\n{one.sql}" for label, one in zip(labels, sides, strict=True))
+        self.sql = "\n\n".join(f"-- batch {label}\n{subject.sql}" for label, subject in zip(labels, sides, strict=True))
 
     def left_out(self) -> Sequence[str]:
         return [f"{letter}: {note}" for letter, one in zip("AB", self._sides, strict=True) for note in one.left_out()]
@@ -65,8 +65,8 @@ def films_of_two(
     if video.show in ONE_BATCH:
         raise UsageError(f'show = "{video.show}" shows one batch; "run" and "mean" can show two side by side')
     labels = list(galleries)
-    a, b = (Members(one.axes, one.cells, one.frame.cells(), tuple(one.frame.runs())) for one in galleries.values())
-    _check_same(labels, "variables", *(", ".join(sorted(axis.name for axis in one.axes)) or "none" for one in (a, b)))
+    a, b = (Members(shown.axes, shown.cells, shown.frame.cells(), tuple(shown.frame.runs())) for shown in galleries.values())
+    _check_same(labels, "variables", *(", ".join(sorted(axis.name for axis in shown.axes)) or "none" for shown in (a, b)))
     of_a, of_b = (subjects(video, gallery) for gallery in galleries.values())
     pairs, alone = _pairs(a, b, video.experiments)
     notes += [f"video {name}: {what} is only in {labels[side]}" for side, what in alone]
@@ -101,7 +101,7 @@ def _joined(sides: tuple[Film, Film], labels: Sequence[str], *, numeric: bool) -
     """Return the film with the panels A, B and A − B."""
     first, second = sides
     a = first.panels[0].plus
-    b = tuple(place + len(first.runs) for place in second.panels[0].plus)
+    b = tuple(index + len(first.runs) for index in second.panels[0].plus)
     panels = [Panel(f"A: {labels[0]}", a), Panel(f"B: {labels[1]}", b)]
     notes = [f"{letter}: {note}" for letter, film in zip("AB", sides, strict=True) for note in film.notes]
     return replace(

@@ -27,7 +27,7 @@ from sierra.extensions.explorer import explorer
 from sierra.extensions.explorer.answers import Answers
 from sierra.extensions.explorer.ranges import BadRange, Range
 from sierra.extensions.explorer.server import Server
-from sierra.extensions.explorer.tickets import Made, Tickets
+from sierra.extensions.explorer.tickets import ServedFile, Tickets
 from sierra.model import Axis
 from sierra.store import derived_tables, read_lock, several_batches
 from sierra.store.derived_tables import Limits
@@ -212,11 +212,11 @@ def test_old_addresses_end(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sierra.extensions.explorer.tickets.MOST_BYTES", 10)
     monkeypatch.setattr("sierra.extensions.explorer.tickets.MOST", 3)
     tickets = Tickets()
-    pages = [tickets.issue(Made("text/html", b"1234")) for _ in range(3)]
-    films = [tickets.issue(Made("video/mp4", bytes)) for _ in range(4)]
+    pages = [tickets.issue(ServedFile("text/html", b"1234")) for _ in range(3)]
+    films = [tickets.issue(ServedFile("video/mp4", bytes)) for _ in range(4)]
     assert [tickets.find(address) is not None for address in pages] == [False, True, True]
     assert [tickets.find(address) is not None for address in films] == [False, True, True, True]
-    large = tickets.issue(Made("text/html", b"1" * 11))
+    large = tickets.issue(ServedFile("text/html", b"1" * 11))
     assert [tickets.find(address) is not None for address in (*pages, large)] == [False, False, False, True]
 
 

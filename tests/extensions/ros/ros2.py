@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
 import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
@@ -34,9 +35,6 @@ def find(monkeypatch: pytest.MonkeyPatch, require: Callable[..., str]) -> None:
 
 def driver(name: str) -> ModuleType:
     """Return a program that runs have beside their launch files, as a module."""
-    specification = importlib.util.spec_from_file_location(name, DRIVERS / f"{name}.py")
-    assert specification is not None
-    assert specification.loader is not None
-    module = importlib.util.module_from_spec(specification)
-    specification.loader.exec_module(module)
-    return module
+    if str(DRIVERS) not in sys.path:
+        sys.path.append(str(DRIVERS))
+    return importlib.import_module(name)

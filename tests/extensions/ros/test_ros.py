@@ -98,7 +98,7 @@ def test_a_run_gets_a_group_for_each_robot_and_a_node_that_ends_it(tmp_path: Pat
 
 def test_runs_bring_the_programs_that_start_and_end_them(tmp_path: Path) -> None:
     made = inputs(make(tmp_path / "p"), "montecarlo.C1")
-    for name in ("ros_driver.py", "ros_timekeeper.py"):
+    for name in ("ros_driver.py", "ros1_run.py", "ros_timekeeper.py"):
         assert made[name] == (DRIVERS / name).read_text()
 
 
@@ -326,7 +326,7 @@ def test_robots_in_one_domain_leave_all_but_their_own_nodes_to_the_base_station(
 def test_robots_find_the_master_of_their_run_and_refuse_one_out_of_reach(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    driver = ros2.driver("ros_driver")
+    driver = ros2.driver("ros1_run")
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
 
     def part(place: int, base_address: str, execution: str = "e1") -> Any:
@@ -339,10 +339,10 @@ def test_robots_find_the_master_of_their_run_and_refuse_one_out_of_reach(
         }
         for name, value in given.items():
             monkeypatch.setenv(name, value)
-        return driver.kind_of(argparse.Namespace(ros=1, share_master=True))(argparse.Namespace(setup=None))
+        return driver.launch(argparse.Namespace(share_master=True, setup=None))
 
     base_station, robot, other = part(0, "10.0.0.9"), part(2, "10.0.0.9"), part(2, "10.0.0.9", "e2")
-    assert (robot.run, robot.find_master()) == (base_station.run, (str(base_station.port), "--wait"))
+    assert (robot.run, robot.find_master()) == (base_station.run, (str(base_station.ports[0]), "--wait"))
     assert base_station.robots == ["robot1", "robot2"]
     assert other.run != robot.run
     for address in ("127.0.0.1", "fe80::1"):

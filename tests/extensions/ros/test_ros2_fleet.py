@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from argparse import Namespace
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -32,7 +31,6 @@ def parts() -> ModuleType:
 
 
 def launch_of(
-    parts: ModuleType,
     monkeypatch: pytest.MonkeyPatch,
     launch: Path,
     content: str,
@@ -44,7 +42,6 @@ def launch_of(
     """Return the driver's run of a part that sees two programs in each of three parts."""
     for name, value in {**VARIABLES, "SIERRA_ROBOT": str(place)}.items():
         monkeypatch.setenv(name, value)
-    monkeypatch.setitem(sys.modules, "ros2_fleet", parts)
     launch.write_text(f"<launch>{content}</launch>")
     given = Namespace(
         setup=None,
@@ -55,7 +52,7 @@ def launch_of(
         awaited=["walker"],
         patience=9.0,
     )
-    made = driver("ros_driver").Launch2(given)
+    made = driver("ros2_run").Launch2(given)
     made.watcher = SimpleNamespace(
         participants=6, nodes=["/robot1/walker"], changed=0.0, pending=[], unheard=0, has_started=False, members=[]
     )
@@ -64,28 +61,24 @@ def launch_of(
     return made
 
 
-def test_no_part_is_ready_before_it_has_started_a_node(
-    parts: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    robot = launch_of(parts, monkeypatch, tmp_path / "launch.xml", GROUP, 1)
+def test_no_part_is_ready_before_it_has_started_a_node(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    robot = launch_of(monkeypatch, tmp_path / "launch.xml", GROUP, 1)
     robot.follow_others()
     assert (robot.missing(), robot.fleet.state["ready"], robot.fleet.state["finished"]) == ("no node was started", False, False)
     robot.watch.processes.add("walker-1")
     robot.follow_others()
     robot.follow_others()
     assert (robot.missing(), robot.fleet.state["ready"]) == ("", True)
-    idle = launch_of(parts, monkeypatch, tmp_path / "launch.xml", '<let name="a" value="b"/>', 0)
+    idle = launch_of(monkeypatch, tmp_path / "launch.xml", '<let name="a" value="b"/>', 0)
     idle.follow_others()
     assert (idle.missing(), idle.starts_nothing) == ("", True)
-    busy = launch_of(parts, monkeypatch, tmp_path / "launch.xml", '<node pkg="a" exec="b"/>', 0)
+    busy = launch_of(monkeypatch, tmp_path / "launch.xml", '<node pkg="a" exec="b"/>', 0)
     busy.follow_others()
     assert (busy.missing(), busy.starts_nothing) == ("no node was started", False)
 
 
-def test_a_robot_that_records_nothing_of_its_own_is_not_ready(
-    parts: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    robot = launch_of(parts, monkeypatch, tmp_path / "launch.xml", GROUP, 1, has_base=False, bag="run")
+def test_a_robot_that_records_nothing_of_its_own_is_not_ready(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    robot = launch_of(monkeypatch, tmp_path / "launch.xml", GROUP, 1, has_base=False, bag="run")
     robot.watch.processes.add("walker-1")
     robot.follow_others()
     assert (robot.own, robot.missing()) == ("/robot1", "")
@@ -94,7 +87,7 @@ def test_a_robot_that_records_nothing_of_its_own_is_not_ready(
 
 
 def test_the_driver_knows_the_elements_that_start_nothing() -> None:
-    program = driver("ros_driver")
+    program = driver("ros2_run")
     assert (Launch2.of_all, Launch2.pushed) == (program.OF_ALL, program.PUSHED)
 
 
@@ -143,13 +136,13 @@ def test_a_fleet_whose_robots_cannot_reach_each_other_is_refused(
     parts: ModuleType, variables: dict[str, str | None], message: str
 ) -> None:
     given = {name: value for name, value in {**VARIABLES, **variables}.items() if value is not None}
-    with pytest.raises(parts.Unfit, match=message):
+    with pytest.raises(parts.Failure, match=message):
         parts.Fleet(given, has_base=True)
 
 
 def test_another_run_in_the_domain_is_refused(parts: ModuleType) -> None:
     fleet = parts.Fleet(VARIABLES, has_base=True)
-    with pytest.raises(parts.Unfit, match="another run, fedcba9876, uses the same domain"):
+    with pytest.raises(parts.Failure, match="another run, fedcba9876, uses the same domain"):
         fleet.hear([said(2, run="fedcba9876543210")])
 
 

@@ -6,7 +6,7 @@ from collections import Counter
 
 import pytest
 
-from sierra.extensions.trials.order import Turn, ordered
+from sierra.extensions.trials.order import OrderedRun, ordered
 from sierra.extensions.trials.table import Trials
 from sierra.model import Batch, Experiment, Run, RunSpec
 
@@ -21,7 +21,7 @@ def batch(experiments: int, runs: int, first: str = "0") -> Batch:
     return Batch(first.ljust(64, "0"), (), tuple(made), RunSpec("command", (), {}, None), "")
 
 
-def names(turns: list[Turn]) -> list[str]:
+def names(turns: list[OrderedRun]) -> list[str]:
     return [turn.run.id for turn in turns]
 
 

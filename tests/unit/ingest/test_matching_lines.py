@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from sierra.config import project_file
 from sierra.errors import ConfigError
 from sierra.ingest.matching_lines import UnmatchedLines
-from sierra.ingest.rewriting import Source
+from sierra.ingest.rewriting import OriginalFile
 from tests import projects
 from tests.readings import read_file, read_files, written
 
@@ -118,7 +118,7 @@ def test_lines_that_no_output_of_the_file_matches_are_counted_once(tmp_path: Pat
     unmatched = UnmatchedLines()
     assert list(unmatched.notes()) == []
     for place in range(2):
-        unmatched.add(f"r{place}", Source(written(tmp_path / "log.txt", place, TEXT)), [STEP, "^(?P<word>begin)"])
+        unmatched.add(f"r{place}", OriginalFile(written(tmp_path / "log.txt", place, TEXT)), [STEP, "^(?P<word>begin)"])
     [note] = unmatched.notes()
     assert note == "2 lines of log.txt in 2 runs are in no table, because no lines of [outputs] match: 'end'"
 

@@ -15,7 +15,7 @@ import pytest
 
 from sierra.store import recorded_files
 from sierra.store.objects import Objects
-from sierra.store.recorded_files import ChosenExecution, Content
+from sierra.store.recorded_files import ChosenExecution, FileContent
 from sierra.store.store import Store
 from tests import projects
 from tests.projects import make, quick
@@ -446,6 +446,6 @@ def test_objects_are_read_in_any_order_with_little_memory(tmp_path: Path, sizes:
     for place in (*range(0, len(sizes), 7), *reversed(range(max(0, len(sizes) - 20), len(sizes)))):
         taken = ChosenExecution("", 0, 0, "", None, None, "counts")
         file = recorded_files.Recorded(taken, "f", "file", None, digests[place], sizes[place], None, None, None)
-        assert b"".join(groups.pieces(Content(file, groups.pieces))) == written[place]
+        assert b"".join(groups.pieces(FileContent(file, groups.pieces))) == written[place]
         most = max(most, pa.total_allocated_bytes() - begin)
     assert most < 64 << 20

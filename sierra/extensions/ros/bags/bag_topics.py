@@ -25,7 +25,7 @@ from sierra.extensions.ros.bags.message_types import MessageType, MessageTypes
 from sierra.ingest.base import UnreadableError
 from sierra.ingest.model import PLAIN, Shape
 from sierra.ingest.parquet import Parquet
-from sierra.ingest.rewriting import Rewriter, Source
+from sierra.ingest.rewriting import OriginalFile, Rewriter
 from sierra.ingest.shipped_reader_base import TableReader
 from sierra.ingest.sqlite_file import MAGIC as SQLITE
 from sierra.ingest.sqlite_file import opened as opened_database
@@ -70,7 +70,7 @@ class BagTopics(Rewriter):
     def plain(self) -> Shape:
         return replace(self.shape, format="parquet", form=replace(PLAIN, na=self.shape.form.na))
 
-    def rewrite(self, source: Source, target: BinaryIO) -> int:
+    def rewrite(self, source: OriginalFile, target: BinaryIO) -> int:
         with opened(source) as bag:
             index = bag.index()
             table = TopicTable(index, self._keys)
@@ -85,13 +85,13 @@ class BagTopics(Rewriter):
             return bag.scan(table.channels.__contains__)
         return message_rates.checked(bag.scan(lambda channel: True), table.channels, least)
 
-    def count(self, source: Source, written: int) -> int:
+    def count(self, source: OriginalFile, written: int) -> int:
         """Return the number of messages by the index, which `rewrite` has read."""
         return self._counted
 
 
 @contextmanager
-def opened(source: Source, *, whole: bool = True) -> Iterator[Bag]:
+def opened(source: OriginalFile, *, whole: bool = True) -> Iterator[Bag]:
     """Open a bag. Raises UnreadableError if it is none; `whole`: also if parts of its file are missing."""
     head = next(source.pieces(), b"")
     if head.startswith(SQLITE):
@@ -106,7 +106,7 @@ def opened(source: Source, *, whole: bool = True) -> Iterator[Bag]:
 
 
 @contextmanager
-def _plain(source: Source) -> Iterator[Path]:
+def _plain(source: OriginalFile) -> Iterator[Path]:
     """Yield the path of the decompressed file."""
     if not source.compressed:
         yield source.path
@@ -140,22 +140,22 @@ class TopicTable:
 
     def __init__(self, known: Mapping[Channel, int], keys: Keys) -> None:
         """Choose the channels. Raises UnreadableError if a topic is missing, or if topics have different columns."""
-        patterns = [Pattern(one) for one in keys.topics]
+        patterns = [Pattern(topic) for topic in keys.topics]
         self.names = patterns[0].names
         self.channels: dict[Channel, tuple[str, ...]] = {}
         """The channels with the parts of their topics that are columns."""
         for pattern in patterns:
-            found = {channel: parts for channel in known if (parts := pattern.of(channel.topic)) is not None}
-            if not found:
+            matching = {channel: parts for channel in known if (parts := pattern.of(channel.topic)) is not None}
+            if not matching:
                 topics = sorted({channel.topic for channel in known})
                 has = few(topics, NAMED) if topics else "no topic"
                 raise UnreadableError(f"has no topic {pattern.text!r}; it has {has}")
-            self.channels = found | self.channels
+            self.channels = matching | self.channels
         types = MessageTypes(keys.ros, dict(keys.messages))
         self._types = {channel: types.of(channel) for channel in self.channels}
         self._check_alike()
         first = next(iter(self._types.values()))
-        self.fields = tuple(one for one in first.fields if keys.covariances or not _is_covariance(one.name))
+        self.fields = tuple(topic for topic in first.fields if keys.covariances or not _is_covariance(topic.name))
         self._places = _places(first)
 
     def _check_alike(self) -> None:
@@ -199,8 +199,8 @@ class TopicTable:
 
         parts = list(zip(*((channel.topic, *self.channels[channel]) for channel, _ in heads), strict=True))
         own = [*parts, [received for _, received in heads]]
-        found = list(zip(*values, strict=True))
-        columns = [field.values(found[self._places[field.name]]) for field in self.fields]
+        attributes = list(zip(*values, strict=True))
+        columns = [field.values(attributes[self._places[field.name]]) for field in self.fields]
         try:
             arrays = [pa.array(values, field.type) for values, field in zip([*own, *columns], self.schema, strict=True)]
             return pa.record_batch(arrays, schema=self.schema)

@@ -16,7 +16,7 @@ from sierra.extensions.ros.bags.bag_topics import NAMED, RECEIVED, STAMP, Keys, 
 from sierra.extensions.ros.bags.containers import NS, damage
 from sierra.ingest.base import UnreadableError
 from sierra.ingest.model import Written
-from sierra.ingest.rewriting import Source
+from sierra.ingest.rewriting import OriginalFile
 from sierra.util.hashing import sha256
 from sierra.util.text import few
 
@@ -49,16 +49,16 @@ def pictures(bag: Path, name: str, output: Output) -> list[Picture]:
     """
     if output.time not in ("", STAMP, RECEIVED):
         raise UnreadableError(f"pictures have their time in {STAMP} or {RECEIVED}, not in time = {output.time!r}")
-    source = Source(Written(str(bag), "", "", name, "", 0, True, bag.stat().st_size))
+    source = OriginalFile(Written(str(bag), "", "", name, "", 0, True, bag.stat().st_size))
     with opened(source) as content:
         index = content.index()
         table = TopicTable(index, Keys(**dict(output.own_keys)))
         topic, *others = sorted({channel.topic for channel in table.channels})
         if others:
             raise UnreadableError(f"a video shows one topic, and topics names {topic}, {few(others, NAMED)}")
-        made: list[Picture] = []
+        written: list[Picture] = []
         for channel, received, data in content.scan(table.channels.__contains__):
-            what = f"picture {len(made)} of {topic!r}"
+            what = f"picture {len(written)} of {topic!r}"
             with damage(what):
                 kind = table.type_of(channel)
                 if kind.name not in WRITERS:
@@ -66,16 +66,16 @@ def pictures(bag: Path, name: str, output: Output) -> list[Picture]:
                 message: Any = kind.message(data)
                 stamp = message.header.stamp
                 time = received if output.time == RECEIVED else int(stamp.sec) * NS + int(stamp.nanosec)
-                path = WRITERS[kind.name](message, bag.with_name(f"{bag.stem}-{len(made)}"), what)
-                made.append(Picture(time, path, sha256(data)))
-        if len(made) != sum(index[channel] for channel in table.channels):
-            raise UnreadableError(f"has {len(made)} pictures of {topic!r}, but its index says another number")
-    made.sort()
-    for before, after in pairwise(made):
+                path = WRITERS[kind.name](message, bag.with_name(f"{bag.stem}-{len(written)}"), what)
+                written.append(Picture(time, path, sha256(data)))
+        if len(written) != sum(index[channel] for channel in table.channels):
+            raise UnreadableError(f"has {len(written)} pictures of {topic!r}, but its index says another number")
+    written.sort()
+    for before, after in pairwise(written):
         if before.time == after.time:
             cure = "" if output.time == RECEIVED else f'; set time = "{RECEIVED}" in the output'
             raise UnreadableError(f"has two pictures of {topic!r} with the same {output.time or STAMP}, {after.time}{cure}")
-    return made
+    return written
 
 
 def _raw(message: Any, path: Path, what: str) -> Path:

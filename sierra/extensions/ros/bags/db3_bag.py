@@ -33,7 +33,7 @@ class Db3Bag(Bag):
             raise UnreadableError(f"has messages of topic {min(map(str, unknown))}, which it does not describe")
         if counts and "metadata" in self._tables:
             rows = self._sql.execute("SELECT metadata FROM metadata ORDER BY id DESC LIMIT 1").fetchall()
-            if not any(int(found) for found in NUMBER.findall(str(rows))[-1:]):
+            if not any(int(digits) for digits in NUMBER.findall(str(rows))[-1:]):
                 raise UnreadableError(
                     "is incomplete: its metadata lack the number of messages, so its recorder did not close it"
                 )
@@ -54,17 +54,17 @@ class Db3Bag(Bag):
             definitions = {name: (encoding, definition) for name, encoding, definition in rows}
         columns = {name for name, *_ in self._sql.execute("SELECT * FROM topics LIMIT 0").description}
         digest = "type_description_hash" if "type_description_hash" in columns else "''"
-        found = {}
+        channels = {}
         for number, *fields in self._sql.execute(f"SELECT id, name, type, serialization_format, {digest} FROM topics"):
-            if not isinstance(number, int) or not all(isinstance(one, str) for one in fields):
+            if not isinstance(number, int) or not all(isinstance(text, str) for text in fields):
                 raise UnreadableError("has a topic without a number, a name or a type")
             topic, kind, serialization, hashed = fields
             language, definition = definitions.get(kind, ("", ""))
             if serialization != "cdr":
-                found[number] = Channel(number, topic, "", serialization, "msg", "", ros1=False)
+                channels[number] = Channel(number, topic, "", serialization, "msg", "", ros1=False)
                 continue
             known = isinstance(definition, str) and language in ("ros2msg", "ros2idl")
-            found[number] = Channel(
+            channels[number] = Channel(
                 number,
                 topic,
                 kind,
@@ -73,4 +73,4 @@ class Db3Bag(Bag):
                 hashed,
                 ros1=False,
             )
-        return found
+        return channels

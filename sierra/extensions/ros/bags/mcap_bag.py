@@ -55,10 +55,10 @@ class McapBag(Bag):
         if summary is None or summary.statistics is None:
             return Counter(channel for channel, _, _ in self.scan(lambda _: True))
         counts = summary.statistics.channel_message_counts
-        found = {number: _channel(channel, summary.schemas) for number, channel in summary.channels.items()}
-        if lacking := sorted(counts.keys() - found.keys()):
+        channels = {number: _channel(channel, summary.schemas) for number, channel in summary.channels.items()}
+        if lacking := sorted(counts.keys() - channels.keys()):
             raise UnreadableError(f"its summary does not describe channel {lacking[0]}")
-        return {channel: counts.get(number, 0) for number, channel in found.items()}
+        return {channel: counts.get(number, 0) for number, channel in channels.items()}
 
     def scan(self, wanted: Wanted) -> Iterator[Message]:
         schemas: dict[int, records.Schema] = {}
@@ -97,13 +97,13 @@ class McapBag(Bag):
                 raise UnreadableError("a chunk is damaged: its checksum is another")
         elif compression:
             raise UnreadableError(CUT)
-        place = 0
-        while place < len(inner):
-            kind, size = numbers("<BQ", inner, place)
-            place += 9 + size
-            if place > len(inner):
+        offset = 0
+        while offset < len(inner):
+            kind, size = numbers("<BQ", inner, offset)
+            offset += 9 + size
+            if offset > len(inner):
                 raise UnreadableError(CUT)
-            yield from _record(kind, inner[place - size : place], schemas, channels, wanted)
+            yield from _record(kind, inner[offset - size : offset], schemas, channels, wanted)
         if cut:
             raise UnreadableError(CUT)
 

@@ -73,19 +73,19 @@ class Field:
         plain = getattr(pa, self.type)()
         return pa.list_(plain) if self.kind in ("list", "octets") else plain
 
-    def values(self, found: Sequence[Sequence[Any]]) -> Sequence[object]:
+    def values(self, attributes: Sequence[Sequence[Any]]) -> Sequence[object]:
         """Return the values of the column from the values of its attributes in each message."""
         match self.kind:
             case "time":
-                return [seconds * NS + nanoseconds for seconds, nanoseconds in zip(*found, strict=True)]
+                return [seconds * NS + nanoseconds for seconds, nanoseconds in zip(*attributes, strict=True)]
             case "length" | "bytes":
-                return [len(items) for items in found[0]]
+                return [len(items) for items in attributes[0]]
             case "octet":
-                return [value & 0xFF for value in found[0]]
+                return [value & 0xFF for value in attributes[0]]
             case "octets":
-                return [items.view("uint8") for items in found[0]]
+                return [items.view("uint8") for items in attributes[0]]
             case _:
-                return found[0]
+                return attributes[0]
 
 
 class MessageType:
@@ -268,26 +268,26 @@ def _parsed(definition: str, language: str, name: str) -> Any:
         raise UnreadableError(f"the definition of the type {name!r} has more than {TEXT} bytes")
     if NESTED.search(definition) or (language == "idl" and EXPRESSION.search(UNPARSED.sub("", definition))):
         raise UnreadableError(f"the definition of the type {name!r} has arrays of arrays, or expressions within expressions")
-    found: dict[str, Any] = {}
+    types: dict[str, Any] = {}
     if language == "msg":
-        found |= get_types_from_msg(definition, name)
+        types |= get_types_from_msg(definition, name)
     else:
         for part in definition.split("=" * 80 + "\n"):
             head, _, rest = part.partition("\n")
-            found |= get_types_from_idl(rest if head.startswith("IDL: ") else part) if part.strip() else {}
-    for one, (constants, fields) in found.items():
-        _full_name(one)
+            types |= get_types_from_idl(rest if head.startswith("IDL: ") else part) if part.strip() else {}
+    for type_name, (constants, fields) in types.items():
+        _full_name(type_name)
         named = [field for field, _ in fields]
         plain = [kind for _, kind, _ in constants] + [_base(detail) for _, detail in fields]
         values = all(isinstance(value, str | bool | int | float) for _, _, value in constants)
         if not values or not all(map(NAME.fullmatch, (*named, *(constant for constant, _, _ in constants)))):
-            raise UnreadableError(f"the type {one!r} has a field without a valid name or value")
+            raise UnreadableError(f"the type {type_name!r} has a field without a valid name or value")
         if len(set(named)) < len(named):
-            raise UnreadableError(f"the type {one!r} has two fields of the same name")
+            raise UnreadableError(f"the type {type_name!r} has two fields of the same name")
         for kind in plain:
             if kind not in PRIMITIVES and not NAME.fullmatch(kind):
                 _full_name(kind)
-    return found
+    return types
 
 
 def _base(detail: Any) -> str:

@@ -66,8 +66,8 @@ class Ros1Bag(Bag):
                 channels[_number("<I", fields, b"conn")] = _channel(fields, data)
             elif _op(fields) == CHUNK_INFO:
                 chunks += 1
-                for place in range(0, 8 * _number("<I", fields, b"count"), 8):
-                    connection, count = numbers("<II", data, place)
+                for offset in range(0, 8 * _number("<I", fields, b"count"), 8):
+                    connection, count = numbers("<II", data, offset)
                     counts[connection] += count
             else:
                 raise UnreadableError("its index has other records")
@@ -79,7 +79,7 @@ class Ros1Bag(Bag):
         channels: dict[int, Channel] = {}
         self._file.seek(self._begin)
         end = self._index if self._begin <= self._index <= self._size else self._size
-        while (place := self._file.tell()) < end:
+        while (offset := self._file.tell()) < end:
             fields, length = self._next()
             if _op(fields) == CHUNK:
                 yield from self._chunk(fields, length, channels, wanted)
@@ -90,7 +90,7 @@ class Ros1Bag(Bag):
             elif _op(fields) in (CONNECTION, CHUNK_INFO) and end == self._size:
                 return
             else:
-                raise UnreadableError(f"has an unknown record at byte {place}")
+                raise UnreadableError(f"has an unknown record at byte {offset}")
 
     def _chunk(self, fields: Fields, length: int, channels: dict[int, Channel], wanted: Wanted) -> Iterator[Message]:
         """Yield the messages in a chunk; those that are complete also if the chunk is not."""
@@ -118,16 +118,16 @@ class Ros1Bag(Bag):
 
 
 def _messages(content: bytes, channels: dict[int, Channel], wanted: Wanted) -> Iterator[Message]:
-    place = 0
-    while place < len(content):
-        [length] = numbers("<I", content, place)
-        fields = _fields(content[place + 4 : place + 4 + length])
-        place += 4 + length
-        [size] = numbers("<I", content, place)
-        place += 4 + size
-        if place > len(content):
+    offset = 0
+    while offset < len(content):
+        [length] = numbers("<I", content, offset)
+        fields = _fields(content[offset + 4 : offset + 4 + length])
+        offset += 4 + length
+        [size] = numbers("<I", content, offset)
+        offset += 4 + size
+        if offset > len(content):
             raise UnreadableError(CUT)
-        data = content[place - size : place]
+        data = content[offset - size : offset]
         number = _number("<I", fields, b"conn")
         if _op(fields) == CONNECTION:
             channels[number] = _channel(fields, data)
@@ -156,15 +156,15 @@ def _channel(fields: Fields, data: bytes) -> Channel:
 
 def _fields(content: bytes) -> Fields:
     """Return the fields of a header."""
-    found, place = {}, 0
-    while place < len(content):
-        [size] = numbers("<I", content, place)
-        name, equals, value = content[place + 4 : place + 4 + size].partition(b"=")
-        place += 4 + size
-        if not equals or place > len(content):
+    fields, offset = {}, 0
+    while offset < len(content):
+        [size] = numbers("<I", content, offset)
+        name, equals, value = content[offset + 4 : offset + 4 + size].partition(b"=")
+        offset += 4 + size
+        if not equals or offset > len(content):
             raise UnreadableError("has a damaged header")
-        found[name] = value
-    return found
+        fields[name] = value
+    return fields
 
 
 def _op(fields: Fields) -> int:

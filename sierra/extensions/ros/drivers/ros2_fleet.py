@@ -15,10 +15,14 @@ The leader is the base station, or else robot 1. It publishes `/sierra/started` 
 
 from __future__ import annotations
 
-import hashlib
 import socket
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from sierra.extensions.ros.drivers.ros_driver import Failure, given_variable, number_of
+else:
+    from ros_driver import Failure, given_variable, number_of
 
 HERE = "127.0.0.1"
 TRANSPORT = """\
@@ -46,10 +50,6 @@ TRANSPORT = """\
 """  # Fast DDS over UDP, with up to 100 programs on each computer; it discovers by unicast, and only at these addresses
 
 
-class Unfit(Exception):
-    """A run on several robots cannot begin; the message is one line."""
-
-
 def profile(addresses: list[str]) -> str:
     """Return a profile of Fast DDS with which programs find each other at these addresses."""
     peers = "".join(f"<locator><udpv4><address>{address}</address></udpv4></locator>" for address in addresses)
@@ -58,15 +58,15 @@ def profile(addresses: list[str]) -> str:
 
 
 def numeric(address: str) -> str:
-    """Return an address as numbers. Raises Unfit if it is none of IPv4."""
+    """Return an address as numbers. Raises Failure if it is none of IPv4."""
     try:
         return str(socket.getaddrinfo(address, None, socket.AF_INET, socket.SOCK_DGRAM)[0][4][0])
     except OSError as error:
-        raise Unfit(f"{address} is no address of IPv4; give the robot another address in [runners.robots.fleet]") from error
+        raise Failure(f"{address} is no address of IPv4; give the robot another address in [runners.robots.fleet]") from error
 
 
 def fleet(variables: Mapping[str, str], *, has_base: bool) -> Fleet | None:
-    """Return the part of this robot in its run; None if the run has no other. Raises Unfit."""
+    """Return the part of this robot in its run; None if the run has no other. Raises Failure."""
     return None if not has_base and variables.get("SIERRA_ROBOTS") == "1" else Fleet(variables, has_base=has_base)
 
 
@@ -74,27 +74,17 @@ class Fleet:
     """The part of a robot, or of the base station, and what it knows of the others."""
 
     def __init__(self, variables: Mapping[str, str], *, has_base: bool) -> None:
-        """`variables` are those that SIERRA gives to programs on robots. Raises Unfit."""
-        try:
-            execution, self.place = variables["SIERRA_EXECUTION"], int(variables["SIERRA_ROBOT"])
-            self.places = list(range(0 if has_base else 1, int(variables["SIERRA_ROBOTS"]) + 1))
-            self.addresses = [numeric(variables[f"SIERRA_ADDRESS_{place}"]) for place in self.places]
-        except KeyError as error:
-            raise Unfit(f"{error.args[0]} is not set; give each robot its address in [runners.robots.fleet]") from error
+        """`variables` are those that SIERRA gives to programs on robots. Raises Failure."""
+        self.run, self.place = given_variable("SIERRA_EXECUTION", variables), int(given_variable("SIERRA_ROBOT", variables))
+        self.places = list(range(0 if has_base else 1, int(given_variable("SIERRA_ROBOTS", variables)) + 1))
+        self.addresses = [numeric(given_variable(f"SIERRA_ADDRESS_{place}", variables)) for place in self.places]
         inner = [address for address in self.addresses if address.startswith("127.")]
         if inner and len(self.addresses) > len(inner):
-            raise Unfit(f"other robots cannot reach {inner[0]}; give it another address in [runners.robots.fleet]")
+            raise Failure(f"other robots cannot reach {inner[0]}; give it another address in [runners.robots.fleet]")
         self.has_base = has_base
-        self.number = int(hashlib.sha256(execution.encode()).hexdigest(), 16)
-        self.run = execution
-        self.state: dict[str, Any] = {
-            "programs": 0,
-            "awaited": 0,
-            "ready": False,
-            "finished": False,
-            "over": False,
-            "closed": False,
-        }
+        self.number = number_of(self.run)
+        self.state: dict[str, Any] = {"programs": 0, "awaited": 0}
+        self.state.update(ready=False, finished=False, over=False, closed=False)
         """The state of this part."""
         self.states: dict[int, dict[str, Any]] = {}
         """The states that all parts have told, with that of this one, by place."""
@@ -110,10 +100,10 @@ class Fleet:
         return not self.has_base or self.place == 0
 
     def hear(self, members: list[dict[str, Any]]) -> None:
-        """Take the states that were published. Raises Unfit if one is that of another run."""
+        """Take the states that were published. Raises Failure if one is that of another run."""
         for member in members:
             if member["run"] != self.run:
-                raise Unfit(f"another run, {member['run'][:10]}, uses the same domain of ROS 2 on these robots")
+                raise Failure(f"another run, {member['run'][:10]}, uses the same domain of ROS 2 on these robots")
             self.states[member["place"]] = member["state"]
 
     def absent(self) -> str:

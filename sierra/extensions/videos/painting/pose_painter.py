@@ -84,11 +84,11 @@ class PosePainter:
         robots = number[inside].tolist()
         scale = min(1.0, max(SMALLEST, ROOM * max(high, wide) / LENGTH))
         pixels[:] = self._trail(panel, pixels.shape, dict(zip(robots, places, strict=True)), WIDTH * scale)
-        for place, angle, robot in zip(places, heading[inside].tolist(), robots, strict=True):
-            _line(pixels, place, place, RADIUS * scale, self._colour(robot))
+        for centre, angle, robot in zip(places, heading[inside].tolist(), robots, strict=True):
+            _line(pixels, centre, centre, RADIUS * scale, self._colour(robot))
             if math.isfinite(angle):
-                tip = place[0] + LENGTH * scale * math.cos(angle), place[1] - LENGTH * scale * math.sin(angle)
-                _line(pixels, place, tip, WIDTH * max(scale, 0.7), self._colour(robot))
+                tip = centre[0] + LENGTH * scale * math.cos(angle), centre[1] - LENGTH * scale * math.sin(angle)
+                _line(pixels, centre, tip, WIDTH * max(scale, 0.7), self._colour(robot))
         for (right, down), robot in zip(places, robots, strict=True):
             if 0 <= robot < len(self._marks):
                 _stamp(pixels, self._marks[robot], right + 5 * scale, down - 5 * scale)

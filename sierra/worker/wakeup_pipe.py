@@ -7,7 +7,7 @@ import os
 import select
 
 
-class Waker:
+class WakeupPipe:
     """A means to wake the main thread from any thread, from a signal handler, or when a pipe is closed.
 
     (Python's own events and queues hold locks, so a signal handler must not use them.)
