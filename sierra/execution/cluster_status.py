@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from sierra.errors import NotFound, SierraError
 from sierra.execution import sessions
-from sierra.execution.observer import Observer, Relay, Tally
+from sierra.execution.observer import Observer, ProgressCounter
 from sierra.execution.sessions import Session
 from sierra.runners import schedulers
 from sierra.runners.cluster import submission_record
@@ -185,14 +185,15 @@ def _recorded(store: Store, row: ClusterSession, observer: Observer) -> ClusterS
 
     If the session is cancelled, end its jobs first.
     """
-    from sierra.execution.attach import attach  # loads all that records runs
+    from sierra.execution.follow import attach  # loads all that records runs
 
     paths = store.paths.session(row.session)
     session = Session.adopted(store.paths, paths)
     if session is None:
         return replace(row, attended=sessions.holder(paths)) if paths.submission.exists() else replace(row, ended=True)
     try:
-        attached = attach(store, session, Tally(Relay(observer, leave=not paths.cancelled.exists()), row.runs), detach=True)
+        counter = ProgressCounter(observer, row.runs, leave=not paths.cancelled.exists())
+        attached = attach(store, session, counter, detach=True)
     except SierraError as error:
         observer.notice(f"session {row.session}: {error}")
         return replace(row, ended=not paths.submission.exists())

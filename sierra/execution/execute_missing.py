@@ -13,10 +13,9 @@ from pathlib import Path
 
 from sierra.errors import Missing
 from sierra.execution import expected_durations, recover, sessions
-from sierra.execution.attach import attach
 from sierra.execution.expected_durations import Order
-from sierra.execution.follow import Followed
-from sierra.execution.observer import Relay, Tally
+from sierra.execution.follow import Followed, attach
+from sierra.execution.observer import ProgressCounter
 from sierra.execution.plan import Plan, context, session_step
 from sierra.execution.reuse import FileCheck, State, failed_twice, rules_changed, states
 from sierra.execution.run_jobs import Service, Setup
@@ -52,7 +51,7 @@ NOTED = 4
 
 
 class RunState(StrEnum):
-    """State of a run in this session. Runs without a state are untouched; the tally has the results of executed runs."""
+    """State of a run in this session. Runs without a state are untouched; the counter has the results of executed runs."""
 
     AWAITED = "awaited"
     """Another session was executing it, or had submitted it."""
@@ -101,9 +100,9 @@ class Executor:
         """True if the last session of the batch used other rules."""
         self._runner = runner
         self._options = options
-        observer = Relay(options.observer, leave=True) if options.detach else options.observer
         self._context = context(plan, session.id, session.number)
-        self._tally = Tally(observer, len(self._selected({run.id for run in plan.batch.runs})))
+        total = len(self._selected({run.id for run in plan.batch.runs}))
+        self._counter = ProgressCounter(options.observer, total, leave=True if options.detach else None)
         self._service: Service | None = None
         self._recorded = recorded
         self._before: dict[str, int] | None = None
@@ -116,7 +115,7 @@ class Executor:
     @property
     def attempted(self) -> AbstractSet[str]:
         """Return the runs that this session has executed to their end."""
-        return self._tally.statuses.keys()
+        return self._counter.statuses.keys()
 
     @property
     def reexecuted(self) -> AbstractSet[str]:
@@ -170,7 +169,7 @@ class Executor:
 
     def _compare(self) -> None:
         """Execute runs again, observed, if this tells whether runs share a file; those that most likely do have failed."""
-        if (self.failed or self._tally.failed) and (unseen := shared_use.unseen(self.store, self._context)):
+        if (self.failed or self._counter.failed) and (unseen := shared_use.unseen(self.store, self._context)):
             self._observe(unseen, FAILED)
         undecided = shared_use.undecided(self.store, self._context)
         if undecided:
@@ -185,7 +184,7 @@ class Executor:
             return
         self._options.observer.notice(why.format(few(["run " + short(run) for run in sorted(runs)], SHOWN)))
         service = self._prepared(self._code(), stays=False)
-        work = (runner, self._context, self._inputs(runs), len(runs), self.plan.programs, self._tally)
+        work = (runner, self._context, self._inputs(runs), len(runs), self.plan.programs, self._counter)
         followed = service.execute(*work, doubt=self._find_change, attempt=1, observed=True)
         self.notes += tuple(note for note in followed.notes if note not in self.notes)
         self.interrupted = followed.interrupted
@@ -224,7 +223,7 @@ class Executor:
         if self._before is None:
             self._before = {run: now[run].executions for run in wanted if now[run].executions}
             self._set(() if self._options.retry else failed_twice(self.plan, self.store, now), RunState.GIVEN_UP)
-            self._tally.reused = self._tally.total - len(self._selected(wanted) - self.given_up)
+            self._counter.reused = self._counter.total - len(self._selected(wanted) - self.given_up)
         self.fail({run for run in wanted if now[run].executions > self._before.get(run, 0)})
         return self._selected(wanted) - self.failed - self.given_up - self.attempted - self._in(RunState.SKIPPED)
 
@@ -253,7 +252,7 @@ class Executor:
         if evaluated.judged:
             find_odd(self.store, self.session.paths, self._context)
         self._set(evaluated.judged, RunState.REEVALUATED)
-        self._tally.reused += len(evaluated.judged)
+        self._counter.reused += len(evaluated.judged)
         self.notes += tuple(evaluated.notes)
         return claimed - evaluated.judged
 
@@ -269,8 +268,8 @@ class Executor:
             order, times = expected_durations.expected(plan, self.store, wanted)
         elif len(wanted) > (self._options.slots or 1):
             order = expected_durations.longest_first(plan, self.store, wanted)
-        self._tally.expect(order.by_run(wanted))
-        work = (runner, self._context, self._inputs(wanted, order.batch), len(wanted), programs, self._tally)
+        self._counter.expect(order.by_run(wanted))
+        work = (runner, self._context, self._inputs(wanted, order.batch), len(wanted), programs, self._counter)
         followed = service.execute(
             *work,
             times=times,
@@ -280,7 +279,7 @@ class Executor:
             enough=self._is_enough,
             experiments={run.experiment for run in plan.batch.runs if run.id in wanted},
         )
-        self.fail(self._tally.failed)
+        self.fail(self._counter.failed)
         self.notes += followed.notes
         self.left += [self.session.paths] if followed.left else []
         cancelled = self.session.paths.cancelled.exists() and not self._is_enough()
@@ -293,11 +292,11 @@ class Executor:
         def execute(run: Run, attempt: int, runner: Runner, trial: Mapping[str, JsonView]) -> Followed:
             now, runs = replace(self._context, trial=trial), self._inputs({run.id})
             doubt, enough = self._find_change, self._is_enough
-            return service.execute(runner, now, runs, 1, programs, self._tally, doubt=doubt, enough=enough, attempt=attempt)
+            return service.execute(runner, now, runs, 1, programs, self._counter, doubt=doubt, enough=enough, attempt=attempt)
 
-        core = Core(self.plan, self.store, self.session, self._tally, self._runner, execute, self._is_enough)
+        core = Core(self.plan, self.store, self.session, self._counter, self._runner, execute, self._is_enough)
         outcome = step.execute(wanted, core)
-        self.fail(self._tally.failed)
+        self.fail(self._counter.failed)
         self.notes += tuple(outcome.notes)
         self._set(outcome.skipped, RunState.SKIPPED)
         self.interrupted = outcome.interrupted
@@ -320,14 +319,14 @@ class Executor:
 
     def _is_enough(self) -> bool:
         """Check whether to execute no more runs. Runs go on while none is known to have used the files that have changed."""
-        if self._tally.doubted or (self._file_change is not None and self._file_change.files is None):
+        if self._counter.doubted or (self._file_change is not None and self._file_change.files is None):
             return True
-        return self._options.fail_fast and (self._has_failed or bool(self._tally.failed))
+        return self._options.fail_fast and (self._has_failed or bool(self._counter.failed))
 
     def _inputs(self, wanted: AbstractSet[str], batch: Batch | None = None) -> Iterator[tuple[Run, Files]]:
         """Yield these runs with their input files, each run once, in the order of this batch; default: that of the plan."""
         plan = self.plan
-        unique = len(plan.batch.runs) == self._tally.total
+        unique = len(plan.batch.runs) == self._counter.total
         sent: set[str] = set()
         for run, files in plan.inputs.files(batch or plan.batch, lambda run: run.id in wanted):
             if unique or run.id not in sent:
@@ -396,7 +395,7 @@ class Executor:
                     raise Missing(
                         f"{self._others(wanted)} executes these {self._step.runs}; stop it, or wait until it has ended"
                     )
-                self._tally.report(0, elsewhere=len(wanted))
+                self._counter.report(0, elsewhere=len(wanted))
                 time.sleep(JOIN_S)
                 recover.finish_dead(self.store, self._options.observer)
                 if self.store.names() != known:
@@ -424,17 +423,17 @@ class Executor:
         """Follow runs that were submitted before."""
         mine = sessions.claims(session.paths) & wanted
         self._options.observer.notice(f"following {counted(len(mine), 'run')} submitted before (session {session.id})")
-        attached = attach(self.store, session, _Joined(self._tally, mine), detach=self._options.detach)
+        attached = attach(self.store, session, _Joined(self._counter, mine), detach=self._options.detach)
         self.notes += attached.notes
         self.left += [session.paths] if attached.left else []
         self.interrupted = attached.interrupted
 
 
-class _Joined(Tally):
-    """The tally of another session that is followed here: it reports this session's progress, and the runs to come."""
+class _Joined(ProgressCounter):
+    """The counter of another session that is followed here: it reports this session's progress, and the runs to come."""
 
-    def __init__(self, own: Tally, runs: set[str]) -> None:
-        super().__init__(own.observer, len(runs))
+    def __init__(self, own: ProgressCounter, runs: set[str]) -> None:
+        super().__init__(own.observer, len(runs), leave=own.decision)
         self._own = own
         self._runs = runs
 

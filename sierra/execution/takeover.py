@@ -7,9 +7,9 @@ import time
 
 from sierra.errors import Busy, Missing, NotFound
 from sierra.execution import sessions, sum_up
-from sierra.execution.attach import Attached, attach
 from sierra.execution.cluster_status import ClusterSession, counted, named, submitted
-from sierra.execution.observer import Observer, Relay, Tally
+from sierra.execution.follow import Attached, attach
+from sierra.execution.observer import Observer, ProgressCounter
 from sierra.execution.sessions import Session
 from sierra.execution.summary import Summary
 from sierra.runners import schedulers
@@ -60,7 +60,7 @@ def follow(store: Store, prefix: str, observer: Observer) -> Summary:
             observer.notice(
                 f"session {row.session} belongs to a replay that has ended: its runs are recorded, but not compared"
             )
-        attached.append(attach(store, session, _tally(store, row, observer)))
+        attached.append(attach(store, session, _counter(store, row, observer)))
         left += [row.session] if attached[-1].left else []
     if not attached:
         raise Busy("; ".join(busy))
@@ -105,10 +105,10 @@ def _busy(store: Store, row: ClusterSession) -> str:
     return f"session {row.session} is followed by {sessions.holder(store.paths.session(row.session))}"
 
 
-def _tally(store: Store, row: ClusterSession, observer: Observer) -> Tally:
-    """Return the tally of one session; runs that are recorded count as reused."""
+def _counter(store: Store, row: ClusterSession, observer: Observer) -> ProgressCounter:
+    """Return the counter of one session; runs that are recorded count as reused."""
     before, failed = counted(store, [row.session])[row.session]
-    return Tally(observer, row.runs, before, failed)
+    return ProgressCounter(observer, row.runs, before, failed)
 
 
 def _cancel(store: Store, row: ClusterSession, observer: Observer) -> Cancelled:
@@ -118,7 +118,7 @@ def _cancel(store: Store, row: ClusterSession, observer: Observer) -> Cancelled:
     if session is None and paths.submission.exists():
         session, ending = _request_end(store, paths)
     if session is not None:
-        attach(store, session, Tally(Relay(observer, leave=False), row.runs), detach=True)
+        attach(store, session, ProgressCounter(observer, row.runs, leave=False), detach=True)
     done, failed = counted(store, [row.session])[row.session]
     return Cancelled(row.session, row.batch, done, failed, row.runs - done, ending)
 

@@ -20,7 +20,7 @@ from sierra.design.expand import Expansion
 from sierra.errors import Busy, Missing, SierraError, UsageError
 from sierra.execution import commands, session_records, show_record
 from sierra.execution.execute import check_packages
-from sierra.execution.observer import Observer, Progress, Relay, Tally
+from sierra.execution.observer import Observer, Progress, ProgressCounter
 from sierra.execution.plan import Plan, context, versioned
 from sierra.execution.plan_notes import out_of_reach
 from sierra.execution.run_jobs import Service, Setup
@@ -146,7 +146,7 @@ def attempt(plan: Plan, run: Run, files: Files, project: StorePaths, observer: O
         store = Store.create(place.store)
         session = Session(store.paths, logged=False)
         output = _Output(session.paths.runs, observer, show)
-        tally = Tally(output, 1)
+        counter = ProgressCounter(output, 1)
         try:
             session.take_number()
             session_records.keep_for_trial(plan, store, session)
@@ -161,7 +161,7 @@ def attempt(plan: Plan, run: Run, files: Files, project: StorePaths, observer: O
                 [(run, files)],
                 1,
                 plan.programs,
-                tally,
+                counter,
                 doubt=lambda: service.doubt(plan.seen),
                 kept=place.new,
             )
@@ -171,7 +171,7 @@ def attempt(plan: Plan, run: Run, files: Files, project: StorePaths, observer: O
         output.rest(folder)
         notes = (*plan.notes, *service.isolation.notes, *followed.notes)
         values = plan.batch.experiments[0].values
-        if run.id not in tally.statuses:
+        if run.id not in counter.statuses:
             return Trial(values, run.id, run.seed, Status.INTERRUPTED, "was interrupted", folder=folder, notes=notes)
         found = _read(store, commands.execution_id(session.id, run.id), values, run.seed, folder)
         seeded = found.status is Status.OK and _is_seeded(plan, run)
@@ -278,13 +278,13 @@ class _Output(Observer):
 
     def __init__(self, runs: Path, observer: Observer, show: Show) -> None:
         self._runs = runs
-        self._relay = Relay(observer, leave=False)
+        self._observer = observer
         self._show = show
         self._shown: dict[int, int] = {}
         """The number of bytes that were shown, by the inode of the log, because the folder is moved."""
 
     def notice(self, text: str) -> None:
-        self._relay.notice(text)
+        self._observer.notice(text)
 
     def progress(self, progress: Progress) -> None:
         folders = [path for pattern in ("[0-9]*", "slot-*/runs/[0-9]*") for path in self._runs.glob(pattern)]

@@ -22,7 +22,7 @@ from sierra.errors import Missing, UsageError
 from sierra.execution import commands, expected_durations, plan_from_record, recover, session_records, targets
 from sierra.execution.build.recorded import Rebuilt, rebuild
 from sierra.execution.checkout import Checkout
-from sierra.execution.observer import Observer, Relay, Tally
+from sierra.execution.observer import Observer, ProgressCounter
 from sierra.execution.on_robots import configured
 from sierra.execution.run_jobs import Service, Setup
 from sierra.execution.sessions import Session
@@ -140,7 +140,7 @@ class _Code:
 class _Executed:
     """The executions that are compared with the record."""
 
-    tally: Tally
+    counter: ProgressCounter
     made: Mapping[str, str]
     """The execution of each run."""
     earlier: Mapping[str, Finished]
@@ -267,7 +267,7 @@ class _Replaying:
         if earlier:
             runs = f"{len(earlier)} of {counted(len(self._record.runs), 'run')}"
             self._say([f"{runs} executed by an earlier call here, by the same programs"])
-        tally = Tally(Relay(self._observer, leave=False), len(rest))
+        counter = ProgressCounter(self._observer, len(rest), leave=False)
         timed = self._of.runner.stays and variation.is_replay  # rendering takes longer than what was recorded
         unchanged = guard(code.root, b"", code.programs)
         followed = rest and service.execute(
@@ -276,14 +276,14 @@ class _Replaying:
             ((run, variation.files(files)) for run, files in find_record.inputs(self._record, rest, self._store)),
             len(rest),
             code.programs,
-            tally,
+            counter,
             times=expected_durations.recorded(self._store, [one.run for one in rest]) if timed else None,
             doubt=lambda: service.doubt(unchanged),
             kept=self._kept,
             experiments={one.ordinal for one in rest},
         )
         interrupted = bool(followed and followed.interrupted) or session.paths.cancelled.exists()
-        return _Executed(tally, made | {run: one.execution for run, one in earlier.items()}, earlier, interrupted)
+        return _Executed(counter, made | {run: one.execution for run, one in earlier.items()}, earlier, interrupted)
 
     def _context(self, code: _Code) -> Context:
         recorded, config = self._record.of, self._of.project.config
@@ -311,7 +311,7 @@ class _Replaying:
     def _judged(self, executed: _Executed) -> tuple[OfExperiment, ...]:
         """Compare the executions with the record."""
         of, record = self._of, self._record
-        failed = {run: executed.tally.statuses[run] for run in executed.tally.failed}
+        failed = {run: executed.counter.statuses[run] for run in executed.counter.failed}
         counts = self._options.variation.compared
         runs = compare_runs(record, self._store, executed.made, failed, of.rules)
         compared = [replace(one, outputs=counts(one.outputs)) for one in runs]

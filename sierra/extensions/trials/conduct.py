@@ -185,9 +185,9 @@ class Conduct:
         """Ask for the verdict on a trial, and record it; return it."""
         verdict = self._supervisor.verdict(trial, ended)
         self._record(row._replace(valid=verdict.valid, reason=verdict.reason, note=verdict.note))
-        self._core.tally.ended(run.id, ended.status if verdict.valid else Status.INVALID)
+        self._core.counter.ended(run.id, ended.status if verdict.valid else Status.INVALID)
         if not verdict.valid:
-            self._core.tally.failed.discard(run.id)  # it is repeated
+            self._core.counter.failed.discard(run.id)  # it is repeated
         return verdict
 
     def _record(self, row: TrialRow) -> None:
