@@ -24,7 +24,7 @@ from sierra.execution.session_steps import Core, SessionStep
 from sierra.execution.sessions import Session
 from sierra.ingest import shared_use
 from sierra.ingest.changed_files import Doubt
-from sierra.ingest.consistency import find_odd
+from sierra.ingest.consistency import find_inconsistent
 from sierra.ingest.rejudge import reevaluate
 from sierra.model import Batch, Run
 from sierra.provenance.dependency_model import Programs
@@ -79,15 +79,15 @@ class Executor:
         session: Session,
         runner: Callable[[], Runner],
         options: RunOptions,
-        found: FileCheck | None = None,
+        checked: FileCheck | None = None,
         recorded: tuple[AbstractSet[str], dict[str, State]] | None = None,
     ) -> None:
-        """`found`: the comparison of the files that recorded executions used, as the session has recorded it.
+        """`checked`: the comparison of the files that recorded executions used, as the session has recorded it.
 
         `recorded`: the state of each run when the store had segments with these names.
         """
         self.plan = plan
-        self.found = found
+        self.checked = checked
         self.store = store
         self.session = session
         self.interrupted = False
@@ -163,7 +163,28 @@ class Executor:
 
         At the end, observe one more run of an experiment if nobody knows otherwise whether its runs share a file.
         """
-        self._answer()
+        while not (self.interrupted or self.left):
+            recorded = self.store.names()
+            wanted = self._wanted()
+            if not wanted or self._is_enough():
+                break
+            claimed = self.session.claim(wanted)
+            if self.store.names() != recorded:
+                continue  # claimed runs may have been executed since the store was read
+            self._set((wanted - claimed) - self._run_states.keys(), RunState.AWAITED)
+            if not claimed:
+                if self._wait(wanted):
+                    continue
+                break
+            rest = self._reevaluate(claimed)
+            if len(rest) < len(claimed):
+                continue
+            inconsistent = self._execute_claimed(rest)
+            unfinished = self._in(RunState.CLAIMED) - self.attempted
+            if not self.left and rest <= unfinished and not self.interrupted:
+                raise Missing(f"{self.session.paths.root}: the worker ended without reporting a result for any run")
+            if len(rest) == len(wanted) and not unfinished and not inconsistent:
+                break
         if not self.left:
             self._compare()
 
@@ -175,7 +196,7 @@ class Executor:
         if undecided:
             self._observe(undecided, SECOND)
         if undecided or self.attempted:
-            self.fail(shared_use.find(self.store, self.session.paths, self._context, settle=True))
+            self.fail(shared_use.find(self.store, self.session.paths, self._context, final=True))
 
     def _observe(self, runs: set[str], why: str) -> None:
         """Execute runs again, observed, if that is possible here and now."""
@@ -189,32 +210,6 @@ class Executor:
         self.notes += tuple(note for note in followed.notes if note not in self.notes)
         self.interrupted = followed.interrupted
         self.fail(followed.inconsistent)
-
-    def _answer(self) -> None:
-        while not (self.interrupted or self.left):
-            recorded = self.store.names()
-            wanted = self._wanted()
-            if not wanted or self._is_enough():
-                return
-            mine = self.session.claim(wanted)
-            if self.store.names() != recorded:
-                continue  # claimed runs may have been executed since the store was read
-            self._set((wanted - mine) - self._run_states.keys(), RunState.AWAITED)
-            if not mine:
-                if self._wait(wanted):
-                    continue
-                return
-            rest = self._reevaluate(mine)
-            if len(rest) < len(mine):
-                continue
-            odd = self._execute(rest)
-            if self.left:
-                return
-            unfinished = self._in(RunState.CLAIMED) - self.attempted
-            if rest <= unfinished and not self.interrupted:
-                raise Missing(f"{self.session.paths.root}: the worker ended without reporting a result for any run")
-            if len(rest) == len(wanted) and not unfinished and not odd:
-                return
 
     def _wanted(self) -> set[str]:
         """Return the runs without a successful execution that no session has tried since this one began."""
@@ -232,7 +227,7 @@ class Executor:
         known, self._recorded = self._recorded, None
         if known is not None and self.store.names() == known[0]:
             return known[1]
-        return states(self.plan, self.store, self.found)
+        return states(self.plan, self.store, self.checked)
 
     def _reevaluate(self, claimed: set[str]) -> set[str]:
         """Evaluate the recorded executions of these runs again, once each, if rules have changed.
@@ -250,13 +245,13 @@ class Executor:
                 f"executing {counted(count, 'run')} again; their records cannot be evaluated by the changed rules: {lack}"
             )
         if evaluated.judged:
-            find_odd(self.store, self.session.paths, self._context)
+            find_inconsistent(self.store, self.session.paths, self._context)
         self._set(evaluated.judged, RunState.REEVALUATED)
         self._counter.reused += len(evaluated.judged)
         self.notes += tuple(evaluated.notes)
         return claimed - evaluated.judged
 
-    def _execute(self, wanted: AbstractSet[str]) -> set[str]:
+    def _execute_claimed(self, wanted: AbstractSet[str]) -> set[str]:
         """Execute these runs; return those with an execution, new or old, that is inconsistent with other executions."""
         runner, plan = self._runner(), self.plan
         root, programs = self._snapshot() if runner.remote else (self._code(), plan.programs)

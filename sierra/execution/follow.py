@@ -15,7 +15,7 @@ from sierra.errors import Missing, SierraError
 from sierra.execution import recover, session_records
 from sierra.execution.observer import ProgressCounter
 from sierra.execution.sessions import Session
-from sierra.ingest.consistency import find_odd
+from sierra.ingest.consistency import find_inconsistent
 from sierra.ingest.recorder import Recorder
 from sierra.ingest.recording_context import Context
 from sierra.model import Purpose, Status
@@ -68,7 +68,7 @@ def follow(
         complete = recorder.context.purpose == Purpose.RUN and (work is not None or not follower.left)
         inconsistent: set[str] = set()
         if complete:
-            inconsistent = find_odd(store, session.paths, recorder.context, recorder.lost, settle=runner.stays)
+            inconsistent = find_inconsistent(store, session.paths, recorder.context, recorder.lost, final=runner.stays)
             inconsistent |= recorder.find_astray()
         return Followed(follower.left, bool(signals) and not detach, inconsistent, tuple(recorder.notes()))
 

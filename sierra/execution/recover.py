@@ -115,7 +115,7 @@ def recover(store: Store, paths: SessionPaths) -> int:
 
     Returns the number of recorded executions that were not interrupted.
     """
-    from sierra.ingest.consistency import find_odd
+    from sierra.ingest.consistency import find_inconsistent
     from sierra.ingest.recorder import Recorder
 
     events = list(Journal(paths.journal).read())
@@ -135,7 +135,7 @@ def recover(store: Store, paths: SessionPaths) -> int:
     added = [recorder.add(result) for result in missing]
     recorder.flush()
     # nobody compares runs that may share a file any more
-    find_odd(store, paths, context, min(recorder.lost, _lost(events)), settle=True)
+    find_inconsistent(store, paths, context, min(recorder.lost, _lost(events)), final=True)
     return sum(status is not Status.INTERRUPTED for status in added)
 
 

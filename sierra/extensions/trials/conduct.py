@@ -24,7 +24,7 @@ from sierra.extensions.trials.order import Turn, order_seed, ordered
 from sierra.extensions.trials.supervisor import Ended, Start, Supervisor, Trial, Verdict
 from sierra.extensions.trials.table import Trials
 from sierra.extensions.trials.watched_runner import WatchedRunner
-from sierra.ingest.consistency import find_odd
+from sierra.ingest.consistency import find_inconsistent
 from sierra.model import Run, Status
 from sierra.runners.base import NamesRobots, Runner
 from sierra.store.row_types import TrialRow
@@ -171,7 +171,7 @@ class Conduct:
         self._left -= verdict.valid
         if verdict.valid:  # only now it is compared with its siblings, because it did not count before
             now = context(self._plan, self._session.id, self._session.number)
-            self._outcome.inconsistent |= find_odd(self._store, self._session.paths, now)
+            self._outcome.inconsistent |= find_inconsistent(self._store, self._session.paths, now)
         return verdict.valid
 
     def _leave_out(self, run: Run, decision: Start | None, *, interrupted: bool) -> None:
