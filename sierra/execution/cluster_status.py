@@ -77,8 +77,8 @@ def standing(store: Store, prefix: str | None = None, observer: Observer | None 
     Records finished runs first. `observer` receives notices. Raises NotFound.
     """
     observer = observer or Observer()
-    found = [row for paths in named(store, prefix) if (row := submitted(paths))]
-    rows = [_recorded(store, row, observer) for row in found]
+    submissions = [row for paths in named(store, prefix) if (row := submitted(paths))]
+    rows = [_recorded(store, row, observer) for row in submissions]
     with ThreadPoolExecutor(AT_ONCE) as pool:
         rows = list(pool.map(partial(_with_report, store), rows))
     rows = [
@@ -109,40 +109,40 @@ def named(store: Store, prefix: str | None) -> list[SessionPaths]:
 
     Raises NotFound if no batch or session has such an id.
     """
-    found = sessions.submitted(store.paths)
+    on_clusters = sessions.submitted(store.paths)
     if prefix is None:
-        return found
+        return on_clusters
     try:
         batch = store.resolve(prefix)
         if batch.kind != "batch":
             raise NotFound(f"{prefix!r} is a {batch.kind}; only batches and sessions can be on a cluster")
     except NotFound:
         begin = prefix.lower()
-        mine = [paths for paths in found if PREFIX.fullmatch(begin) and paths.root.name.startswith(begin)]
+        mine = [paths for paths in on_clusters if PREFIX.fullmatch(begin) and paths.root.name.startswith(begin)]
         if not mine:
             raise
         return mine
-    return [paths for paths in found if (row := submitted(paths)) and row.batch == batch.id]
+    return [paths for paths in on_clusters if (row := submitted(paths)) and row.batch == batch.id]
 
 
 def submitted(paths: SessionPaths) -> ClusterSession | None:
     """Return the status that a session's folder shows; None if the session has been closed."""
     try:
-        made = Submission.load(paths)
+        submission = Submission.load(paths)
         sent = submission_record.sent(paths)
         since = sent[0].when if sent else paths.submission.stat().st_mtime
     except FileNotFoundError:
         return None
     return ClusterSession(
         session=paths.root.name,
-        batch=made.batch,
+        batch=submission.batch,
         query=_asked(paths, "query"),
         target=_asked(paths, "target"),
-        runner=made.runner,
-        scheduler=made.version,
-        jobs=tuple(one.job for one in sent if one.job is not None),
-        array_tasks=len(made.counts),
-        runs=made.runs,
+        runner=submission.runner,
+        scheduler=submission.version,
+        jobs=tuple(job_sent.job for job_sent in sent if job_sent.job is not None),
+        array_tasks=len(submission.counts),
+        runs=submission.runs,
         since=datetime.fromtimestamp(since, UTC),
         cancelled=paths.cancelled.exists(),
     )
@@ -206,13 +206,13 @@ def _with_report(store: Store, row: ClusterSession) -> ClusterSession:
         return replace(row, queued=0, running=0)
     paths = store.paths.session(row.session)
     try:
-        made = Submission.load(paths)
-        scheduler = schedulers.find(made.scheduler)(made.cluster)
+        submission = Submission.load(paths)
+        scheduler = schedulers.find(submission.scheduler)(submission.cluster)
         tasks = scheduler.look(submission_record.name_of(paths))
         if tasks is None:
             return row
         by = {state: [task for task in tasks if task.state is state] for state in State}
-        before = made.probed and by[State.QUEUED] and not by[State.RUNNING]
+        before = submission.probed and by[State.QUEUED] and not by[State.RUNNING]
         probing = (before and scheduler.look(submission_record.name_of(paths, "probe"))) or ()
     except FileNotFoundError:
         return replace(row, queued=0, running=0, ended=True)

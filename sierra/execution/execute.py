@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING
 
 from sierra.errors import Missing
 from sierra.execution import on_robots, recover, robot_notes, session_records
-from sierra.execution.observation import reusable_executions, shared_services, stale_sessions
+from sierra.execution.observation import reusable_executions, stale_sessions
 from sierra.execution.plan import Plan, context, session_step, versioned
 from sierra.execution.reasons import FAILED
 from sierra.execution.reuse import FileCheck, State, is_answered, states
 from sierra.execution.run_options import RunOptions
 from sierra.execution.sessions import Session
-from sierra.execution.sum_up import of_session, with_outcomes
+from sierra.execution.sum_up import of_session, unobserved_services, with_outcomes
 from sierra.execution.summary import Summary
 from sierra.store import index_builder
 from sierra.store.store import Store
@@ -68,7 +68,7 @@ def run(plan: Plan, store: Store, options: RunOptions) -> Summary:
 
 def _reused(plan: Plan, store: Store, options: RunOptions) -> Summary:
     """Return the summary of a plan whose runs all have a successful execution."""
-    notes = (*shared_services.note(plan, store), *_robot_notes(plan, store))
+    notes = (*unobserved_services(plan, store), *_robot_notes(plan, store))
     summary = of_session(plan, store, len({run.id for run in plan.batch.runs}), only=options.only, notes=notes)
     return with_outcomes(plan, store, summary)
 
@@ -155,7 +155,7 @@ def _sum_up(executor: Executor) -> Summary:
     only = executor.only
     failed = missing & (executor.attempted | executor.failed | executor.given_up)
     failed = failed if only is None else failed & only
-    reused = shared_services.note(plan, store) if len(recorded) > len(executor.attempted | missing) else ()
+    reused = unobserved_services(plan, store) if len(recorded) > len(executor.attempted | missing) else ()
     given_up = len(executor.given_up & missing)
     twice = f"{counted(given_up, 'run')} failed twice in the same way, and only --retry executes them again"
     return of_session(

@@ -18,7 +18,7 @@ from sierra.execution.follow import Followed, attach
 from sierra.execution.observer import ProgressCounter
 from sierra.execution.plan import Plan, context, session_step
 from sierra.execution.reuse import FileCheck, State, failed_twice, rules_changed, states
-from sierra.execution.run_jobs import Service, Setup
+from sierra.execution.run_jobs import JobService, Setup
 from sierra.execution.run_options import RunOptions
 from sierra.execution.session_steps import Core, SessionStep
 from sierra.execution.sessions import Session
@@ -103,7 +103,7 @@ class Executor:
         self._context = context(plan, session.id, session.number)
         total = len(self._selected({run.id for run in plan.batch.runs}))
         self._counter = ProgressCounter(options.observer, total, leave=True if options.detach else None)
-        self._service: Service | None = None
+        self._service: JobService | None = None
         self._recorded = recorded
         self._before: dict[str, int] | None = None
         """Number of executions at the beginning, of each run that has some and lacks a successful one."""
@@ -206,7 +206,7 @@ class Executor:
         self._options.observer.notice(why.format(few(["run " + short(run) for run in sorted(runs)], SHOWN)))
         service = self._prepared(self._code(), stays=False)
         work = (runner, self._context, self._inputs(runs), len(runs), self.plan.programs, self._counter)
-        followed = service.execute(*work, doubt=self._find_change, attempt=1, observed=True)
+        followed = service.execute_jobs(*work, doubt=self._find_change, attempt=1, observed=True)
         self.notes += tuple(note for note in followed.notes if note not in self.notes)
         self.interrupted = followed.interrupted
         self.fail(followed.inconsistent)
@@ -265,7 +265,7 @@ class Executor:
             order = expected_durations.longest_first(plan, self.store, wanted)
         self._counter.expect(order.by_run(wanted))
         work = (runner, self._context, self._inputs(wanted, order.batch), len(wanted), programs, self._counter)
-        followed = service.execute(
+        followed = service.execute_jobs(
             *work,
             times=times,
             detach=self._options.detach,
@@ -281,13 +281,15 @@ class Executor:
         self.interrupted = cancelled or followed.interrupted
         return followed.inconsistent
 
-    def _by_step(self, step: SessionStep, wanted: AbstractSet[str], service: Service, programs: Programs) -> set[str]:
+    def _by_step(self, step: SessionStep, wanted: AbstractSet[str], service: JobService, programs: Programs) -> set[str]:
         """Let a step execute these runs; return those with an inconsistent execution."""
 
         def execute(run: Run, attempt: int, runner: Runner, trial: Mapping[str, JsonView]) -> Followed:
             now, runs = replace(self._context, trial=trial), self._inputs({run.id})
             doubt, enough = self._find_change, self._is_enough
-            return service.execute(runner, now, runs, 1, programs, self._counter, doubt=doubt, enough=enough, attempt=attempt)
+            return service.execute_jobs(
+                runner, now, runs, 1, programs, self._counter, doubt=doubt, enough=enough, attempt=attempt
+            )
 
         core = Core(self.plan, self.store, self.session, self._counter, self._runner, execute, self._is_enough)
         outcome = step.execute(wanted, core)
@@ -297,12 +299,12 @@ class Executor:
         self.interrupted = outcome.interrupted
         return outcome.inconsistent
 
-    def _prepared(self, root: Path, *, stays: bool) -> Service:
+    def _prepared(self, root: Path, *, stays: bool) -> JobService:
         """Return the service that executes the runs; its isolation is prepared at the first call."""
         if self._service is None:
             plan = self.plan
             setup = Setup(plan.project, plan.batch.spec, plan.engine, plan.image, plan.limits, root, plan.environment)
-            self._service = Service(setup, self.store, self.session, stays=stays)
+            self._service = JobService(setup, self.store, self.session, stays=stays)
             self.notes += self._service.isolation.notes
         return self._service
 
@@ -346,8 +348,8 @@ class Executor:
         plan = self.plan
         checkout = plan.checkout or plan.snapshot(self.store.blob)
         root = self.session.paths.source
-        made = not root.exists()
-        if made:
+        is_new = not root.exists()
+        if is_new:
             checkout.make(root)
         programs = checkout.programs_in(root)
         meanwhile = "while they were being copied for other hosts"
@@ -355,7 +357,7 @@ class Executor:
             raise Missing(f"{doubt}; run the command again")
         if programs.id != plan.programs.id:
             raise Missing(f"programs have changed {meanwhile}: {few(plan.programs.unlike(programs), 3)}; run the command again")
-        if made and (left_out := checkout.left_out()):  # reported last: the callback may write to a file of the project
+        if is_new and (left_out := checkout.left_out()):  # reported last: the callback may write to a file of the project
             what = "nodes get only those that the command, a variable or a template names"
             self._options.observer.notice(f"git ignores {left_out} in the project: {what}")
         return root, programs

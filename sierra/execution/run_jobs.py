@@ -59,7 +59,7 @@ class Setup:
     """Environment of this process."""
 
 
-class Service:
+class JobService:
     """Executes runs of one session."""
 
     def __init__(self, setup: Setup, store: Store, session: Session, *, stays: bool, images: StorePaths | None = None) -> None:
@@ -135,7 +135,7 @@ class Service:
         names = Names(self._folders(programs))
         return None if any(map(names.left_out, paths)) else {path: recorded_name(names.name(path)) for path in paths}
 
-    def execute(
+    def execute_jobs(
         self,
         runner: Runner,
         context: Context,

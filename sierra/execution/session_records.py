@@ -151,10 +151,10 @@ def keep_variants(plan: Plan, store: Store, session: Session) -> None:
     rows = [] if plan.image.id in recorded else [record.row(plan.image)]
     writer = store.writer(session.paths.segment, plan.batch.id)
     objects = Objects(writer.path("objects"))
-    for one in _for_hosts(plan, plan.image):
-        if one.id not in recorded:
+    for image in _for_hosts(plan, plan.image):
+        if image.id not in recorded:
             with contextlib.suppress(Missing, Damaged):
-                rows.append(_row_of_image(plan, store, one, objects))
+                rows.append(_row_of_image(plan, store, image, objects))
     objects.close()
     writer.records(rows)
     store.publish(writer)
@@ -189,14 +189,14 @@ def keep_check(plan: Plan, store: Store, session: Session) -> tuple[FileCheck, d
 
     Return also the state of each run.
     """
-    found, recorded = check(plan, store)
-    if found.stale or found.reusable:
+    checked, recorded = check(plan, store)
+    if checked.stale or checked.reusable:
         writer = store.writer(session.paths.segment, plan.batch.id)
-        writer.records(StaleSessionRow(session.id, one, file.path) for one, file in found.stale.items())
-        writer.records(ReusedExecutionRow(session.id, run, one.execution) for run, one in found.reusable.items())
-        writer.records(unused_changes(plan, store, session.id, found.reusable.values(), found.stale))
+        writer.records(StaleSessionRow(session.id, one, file.path) for one, file in checked.stale.items())
+        writer.records(ReusedExecutionRow(session.id, run, one.execution) for run, one in checked.reusable.items())
+        writer.records(unused_changes(plan, store, session.id, checked.reusable.values(), checked.stale))
         store.publish(writer)
-    return found, recorded
+    return checked, recorded
 
 
 def close(plan: Plan, store: Store, session: Session, summary: Summary, begun: SessionRow) -> None:

@@ -64,18 +64,18 @@ def follow(store: Store, prefix: str, observer: Observer) -> Summary:
         left += [row.session] if attached[-1].left else []
     if not attached:
         raise Busy("; ".join(busy))
-    parts = [one.unfinished for one in attached]
-    found = sum_up.of_recorded(
+    parts = [followed.unfinished for followed in attached]
+    summary = sum_up.of_recorded(
         store,
         rows[0].batch,
-        executed=sum(one.executed for one in attached),
-        failed=sum(one.failed for one in attached),
+        executed=sum(followed.executed for followed in attached),
+        failed=sum(followed.failed for followed in attached),
         interrupted=attached[-1].interrupted,
         detached=tuple(left),
         unfinished=None if None in parts else sum(part or 0 for part in parts),
-        notes=(*busy, *(note for one in attached for note in one.notes)),
+        notes=(*busy, *(note for followed in attached for note in followed.notes)),
     )
-    return replace(found, sessions=tuple(row.session for row in rows))
+    return replace(summary, sessions=tuple(row.session for row in rows))
 
 
 def cancel(store: Store, prefix: str, observer: Observer) -> list[Cancelled]:
@@ -130,8 +130,8 @@ def _request_end(store: Store, paths: SessionPaths) -> tuple[Session | None, str
     """
     holder = sessions.holder(paths)
     with contextlib.suppress(FileNotFoundError, Missing):
-        made = Submission.load(paths)
-        schedulers.find(made.scheduler)(made.cluster).cancel(submission_record.name_of(paths))
+        submission = Submission.load(paths)
+        schedulers.find(submission.scheduler)(submission.cluster).cancel(submission_record.name_of(paths))
     until = time.monotonic() + PATIENCE_S
     while paths.submission.exists():
         if (session := Session.adopted(store.paths, paths)) is not None:

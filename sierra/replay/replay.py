@@ -24,7 +24,7 @@ from sierra.execution.build.recorded import Rebuilt, rebuild
 from sierra.execution.checkout import Checkout
 from sierra.execution.observer import Observer, ProgressCounter
 from sierra.execution.on_robots import configured
-from sierra.execution.run_jobs import Service, Setup
+from sierra.execution.run_jobs import JobService, Setup
 from sierra.execution.sessions import Session
 from sierra.ingest.recording_context import Context
 from sierra.model import Status
@@ -170,7 +170,7 @@ class _Replaying:
         limits = self._options.variation.limits(of.project.config)
         spec = self._options.variation.spec(of.spec)
         setup = Setup(of.project, spec, of.engine, of.image, limits, code.root, code.environment)
-        service = Service(setup, self._store, self._session, stays=of.runner.stays)
+        service = JobService(setup, self._store, self._session, stays=of.runner.stays)
         files = used_files(self._store, self._record, code.programs, code.root, code.search) if of.image is None else None
         self._say(self._deviations(code, service, files))
         executed = self._execute(code, service)
@@ -231,7 +231,7 @@ class _Replaying:
             on_robots=of.takes_robots,
         )
 
-    def _deviations(self, code: _Code, service: Service, files: UsedFiles | None) -> Iterator[str]:
+    def _deviations(self, code: _Code, service: JobService, files: UsedFiles | None) -> Iterator[str]:
         """Yield a line for each deviation from the record."""
         yield from self._record.notes
         if code.built and code.built.different:
@@ -255,7 +255,7 @@ class _Replaying:
             contents = plan_from_record.image_contents(self._store, inside.id)
             yield from unlike_image(of.spec, contents, root)
 
-    def _execute(self, code: _Code, service: Service) -> _Executed:
+    def _execute(self, code: _Code, service: JobService) -> _Executed:
         """Execute the runs that no earlier call has executed in the same way."""
         variation, session = self._options.variation, self._session
         context = self._context(code)
@@ -270,7 +270,7 @@ class _Replaying:
         counter = ProgressCounter(self._observer, len(rest), leave=False)
         timed = self._of.runner.stays and variation.is_replay  # rendering takes longer than what was recorded
         unchanged = guard(code.root, b"", code.programs)
-        followed = rest and service.execute(
+        followed = rest and service.execute_jobs(
             self._of.runner,
             context,
             ((run, variation.files(files)) for run, files in find_record.inputs(self._record, rest, self._store)),
