@@ -84,17 +84,19 @@ def standing(store: Store, prefix: str | None = None, observer: Observer | None 
     rows = [
         _recorded(store, row, observer) if row.is_gone else row for row in rows
     ]  # sessions that ended between the two queries
-    counts = counted(store, [row.session for row in rows])
-    rows = [replace(row, done=counts[row.session][0], failed=counts[row.session][1]) for row in rows]
-    return sorted(rows, key=lambda row: (row.since, row.session))
+    return sorted(_with_counts(store, rows), key=lambda row: (row.since, row.session))
 
 
 def seen(store: Store, runs: AbstractSet[str]) -> list[ClusterSession]:
     """Return the status of all submissions with some of these runs; record nothing. `done` counts runs that are recorded."""
     chosen = (paths for paths in sessions.submitted(store.paths) if not runs.isdisjoint(sessions.claims(paths)))
-    found = [row for paths in chosen if (row := submitted(paths))]
+    submissions = [row for paths in chosen if (row := submitted(paths))]
     with ThreadPoolExecutor(AT_ONCE) as pool:
-        rows = list(pool.map(partial(_with_report, store), found))
+        return _with_counts(store, list(pool.map(partial(_with_report, store), submissions)))
+
+
+def _with_counts(store: Store, rows: list[ClusterSession]) -> list[ClusterSession]:
+    """Return the status of sessions with the numbers of recorded runs."""
     counts = counted(store, [row.session for row in rows])
     return [replace(row, done=counts[row.session][0], failed=counts[row.session][1]) for row in rows]
 

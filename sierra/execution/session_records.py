@@ -79,12 +79,8 @@ def keep(plan: Plan, store: Store, session: Session) -> None:
     if isinstance(plan.image, Image):
         writer.records([_row_of_image(plan, store, plan.image, objects)])
     objects.close()
-    writer.records([batch_row(plan, _lamport(session))])
-    writer.records([spec_rows.of_batch(batch)])
     writer.records([code.row(listing)])
-    _write_host(plan, writer)
-    _write_experiments(batch, writer)
-    writer.records(_members(batch))
+    _write_batch(plan, session, writer)
     with sessions.exclusively(store.paths):
         if store.names() == seen or not is_kept(plan, store):
             store.publish(writer)
@@ -175,13 +171,18 @@ def _row_of_image(plan: Plan, store: Store, image: Image, objects: Objects) -> I
 def keep_for_trial(plan: Plan, store: Store, session: Session) -> None:
     """Record a batch in the store of a trial, without its inputs and its source."""
     writer = store.writer(session.paths.segment, plan.batch.id)
+    writer.records(plan.shared_files)
+    _write_batch(plan, session, writer)
+    store.publish(writer)
+
+
+def _write_batch(plan: Plan, session: Session, writer: Writer) -> None:
+    """Write the records of a batch, its experiments and its runs, and of the machine."""
     writer.records([batch_row(plan, _lamport(session))])
     writer.records([spec_rows.of_batch(plan.batch)])
-    writer.records(plan.shared_files)
     _write_host(plan, writer)
     _write_experiments(plan.batch, writer)
     writer.records(_members(plan.batch))
-    store.publish(writer)
 
 
 def keep_check(plan: Plan, store: Store, session: Session) -> tuple[FileCheck, dict[str, State]]:
