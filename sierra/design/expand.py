@@ -74,8 +74,8 @@ class Expansion:
             report(len(experiments), count, count * self._design.query.runs)
             experiments.append(self._experiment(cell))
         if len(self._names) > 1:
-            one, other = (", ".join(names) for names in itertools.islice(self._names, 2))
-            raise ConfigError(f"the runs of a batch need input files of the same names; these differ: {one}; {other}")
+            first, other = (", ".join(names) for names in itertools.islice(self._names, 2))
+            raise ConfigError(f"the runs of a batch need input files of the same names; these differ: {first}; {other}")
         identity = merkle("batch", (experiment.id for experiment in experiments))
         return Batch(identity, self._design.axes, tuple(experiments), self._spec, self.spec_id)
 

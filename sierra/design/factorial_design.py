@@ -201,21 +201,21 @@ def _spans(
     _check_count(query, [axis for axis, _ in others], report)
     others = others if any(own) else []
     names = [criterion.name for criterion, theirs in zip(query.criteria, own, strict=True) if theirs]
-    found: dict[tuple[int, ...], tuple[Spanned, ...]] = {}
+    by_places: dict[tuple[int, ...], tuple[Spanned, ...]] = {}
     for places in itertools.product(*(range(len(axis.values)) for axis, _ in others)):
-        chosen = [(axis, points[place]) for (axis, points), place in zip(others, places, strict=True)]
+        chosen = [(axis, points[position]) for (axis, points), position in zip(others, places, strict=True)]
         template = _without(common, chosen, query.sets, names)
         template = follow.complete(template) if any(own) else template
-        found[places] = tuple(
+        by_places[places] = tuple(
             span or _of_platform(criterion, project, platform, template)
             for criterion, span in zip(query.criteria, known, strict=True)
         )
-        _check_same(next(iter(found.values())), found[places], chosen)
-    first = next(iter(found.values()))
+        _check_same(next(iter(by_places.values())), by_places[places], chosen)
+    first = next(iter(by_places.values()))
     axes = tuple(axis for axis, _ in first)
     _check_independent(first)
     _check_count(query, axes, report)
-    return Spans(axes, own, {places: tuple(points for _, points in spanned) for places, spanned in found.items()})
+    return Spans(axes, own, {places: tuple(points for _, points in spanned) for places, spanned in by_places.items()})
 
 
 def _check_names(query: Query, project: Project, platform: Platform) -> None:
@@ -242,14 +242,14 @@ def _of_platform(criterion: Criterion, project: Project, platform: Platform, tem
 
 def _check_same(first: Sequence[Spanned], spans: Sequence[Spanned], chosen: Sequence[Placed]) -> None:
     """Raise QueryError if an axis has several meanings in a batch; `first` has the axes at the first value of each."""
-    for (one, _), (other, _) in zip(first, spans, strict=True):
-        if one != other:
+    for (before, _), (now, _) in zip(first, spans, strict=True):
+        if before != now:
             starts = {axis.name: axis.values[0] for axis, _ in chosen}
             differ = [(axis.name, point.value) for axis, point in chosen if point.value != starts[axis.name]]
             start = ", ".join(f"{name}={starts[name]}" for name, _ in differ)
             point = ", ".join(f"{name}={value}" for name, value in differ)
             raise QueryError(
-                f"{one.name} is {_few(one)} with {start}, but {_few(other)} with {point}; use one of these per query"
+                f"{before.name} is {_few(before)} with {start}, but {_few(now)} with {point}; use one of these per query"
             )
 
 
@@ -300,10 +300,10 @@ def _check_independent(spanned: Sequence[Spanned]) -> None:
     replaced = {_place(change) for _, points in spanned for point in points for change in point.replaces}
     for axis, points in spanned:
         for change in {change for point in points for change in point.changes if isinstance(change, Set | Repeat)}:
-            place = _place(change)
-            if axis.name in GROUPED and place in replaced:
+            target = _place(change)
+            if axis.name in GROUPED and target in replaced:
                 continue
-            other = setters.setdefault(place, axis.name)
+            other = setters.setdefault(target, axis.name)
             if other != axis.name:
                 raise QueryError(f"{other!r} and {axis.name!r} both set {change.path!r}; use only one of them")
 
@@ -395,14 +395,14 @@ def _group(project: Project, kind: str, name: str) -> ChosenGroup:
         return ChosenGroup(name, _of_variable(kind, variable) if variable else ())
     if members := [other for other in groups if other.startswith(f"{name}.") and name in groups]:
         raise QueryError(f"{kind} {name!r} is a category; use one of {', '.join(members)}")
-    found = group_names.resolve(name, groups)
-    if not found:
-        known = [one for one in groups if not group_names.is_category(one, groups)]
+    resolved = group_names.resolve(name, groups)
+    if not resolved:
+        known = [member for member in groups if not group_names.is_category(member, groups)]
         raise QueryError(f"unknown {kind} {name!r}; known are {', '.join(known)}")
-    if len(found) > 1:
-        raise QueryError(f"{kind} {name!r} is ambiguous: it fits {' and '.join(one.declared[-1] for one in found)}")
-    every = [change for one in found[0].declared for change in changes(groups[one].changes, f"{kind} {one!r}")]
-    return ChosenGroup(name, tuple(every), found[0].parameters)
+    if len(resolved) > 1:
+        raise QueryError(f"{kind} {name!r} is ambiguous: it fits {' and '.join(member.declared[-1] for member in resolved)}")
+    every = [change for member in resolved[0].declared for change in changes(groups[member].changes, f"{kind} {member!r}")]
+    return ChosenGroup(name, tuple(every), resolved[0].parameters)
 
 
 def _chosen(query: Query, project: Project) -> dict[str, ChosenGroup]:
@@ -450,7 +450,7 @@ def _cells(
     every = itertools.product(*(range(len(axis.values)) for axis in spans.axes))
     for ordinal, places in enumerate(every):
         placed = spans.at(places)
-        values = {axis.name: axis.values[place] for axis, place in zip(spans.axes, places, strict=True)}
+        values = {axis.name: axis.values[position] for axis, position in zip(spans.axes, places, strict=True)}
         own = sorted((change for _, point in placed for change in point.changes), key=_is_value)
         stream = max((point.stream for _, point in placed), default=0)
         together = {**_together(common.values, placed), **values}

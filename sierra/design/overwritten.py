@@ -194,7 +194,8 @@ def _is_replaced(run_input: Input, number: int, change: Set) -> bool:
     if not run_input.layers[number].yields:
         return False
     kept = tuple(
-        replace(layer, changes=tuple(one for one in layer.changes if one not in layer.replaces)) for layer in run_input.layers
+        replace(layer, changes=tuple(own_change for own_change in layer.changes if own_change not in layer.replaces))
+        for layer in run_input.layers
     )
     try:
         return _lasts(replace(run_input, layers=kept), number, change)

@@ -29,8 +29,8 @@ def merged(project: Project, query: Query) -> Project:
     options = project.platforms.get(project.platform, {})
     for kind in KINDS:
         several = [_of_group(project, kind, name) for name in _chosen(project, query, kind)]
-        for name, one in zip(_chosen(project, query, kind), several, strict=True):
-            if one != several[0]:
+        for name, chosen in zip(_chosen(project, query, kind), several, strict=True):
+            if chosen != several[0]:
                 first = _chosen(project, query, kind)[0]
                 raise QueryError(
                     f"{kind}s {first!r} and {name!r} have different options of the platform {project.platform!r}, "

@@ -48,10 +48,10 @@ def seed(base: int, number: int, stream: str = "", largest: int = LARGEST) -> in
     if not 0 <= number < largest:
         raise QueryError(f"a run's number must be from 0 to {largest - 1}, not {number}")
     key, bits = _key(base, stream), largest.bit_length()
-    found = _permuted(number + 1, key, bits)
-    while not 0 < found <= largest:
-        found = _permuted(found, key, bits)
-    return found
+    permuted = _permuted(number + 1, key, bits)
+    while not 0 < permuted <= largest:
+        permuted = _permuted(permuted, key, bits)
+    return permuted
 
 
 def streams(largest: int) -> tuple[int, int]:

@@ -40,7 +40,7 @@ def declared(config: Project, root: Path, values: Declared, *, contained: bool =
 
     def service(name: str, table: ServiceTable) -> Service:
         here, shared = f"[services.{name}]", table.scope == "batch"
-        known = (*((one for one in KNOWN if one not in OF_ONE_RUN) if shared else of_run), "port")
+        known = (*((placeholder for placeholder in KNOWN if placeholder not in OF_ONE_RUN) if shared else of_run), "port")
         texts = (*table.command, *table.ready.words)
         if shared and any(name in (*OF_ONE_RUN, *values.names) for text in texts for _, name in commands.NAMED.findall(text)):
             raise ConfigError(f'{here}: scope = "batch" excludes the input, the seed and values, which differ between runs')
@@ -62,29 +62,29 @@ def check_ports(config: Project, command: Sequence[str], around: Around) -> None
     """Check that each port that a text names is that of a service, and that a service learns its port. Raises ConfigError."""
     texts = {"command": " ".join(command), "[environment] set": " ".join(config.environment.set.values())}
     texts |= {"before": _joined(around.before), "after": _joined(around.after)}
-    texts |= {f"[services.{one.name}]": " ".join((*one.command, *one.ready[1:])) for one in around.services}
-    names = {one.name for one in around.services}
-    for place, text in texts.items():
-        for found in PORT_LIKE.findall(text):
-            known = commands.PORT.fullmatch(found)
+    texts |= {f"[services.{service.name}]": " ".join((*service.command, *service.ready[1:])) for service in around.services}
+    names = {service.name for service in around.services}
+    for where, text in texts.items():
+        for placeholder in PORT_LIKE.findall(text):
+            known = commands.PORT.fullmatch(placeholder)
             if known is None:
-                raise ConfigError(f"{place}: unknown placeholder {found}; known is {{services.NAME.port}}")
+                raise ConfigError(f"{where}: unknown placeholder {placeholder}; known is {{services.NAME.port}}")
             if known[1] not in names:
-                raise ConfigError(f"{place}: {found} names no service; {_listed(names)}")
-    for one in around.services:
-        _check_own_port(one, config.environment.set, texts)
+                raise ConfigError(f"{where}: {placeholder} names no service; {_listed(names)}")
+    for service in around.services:
+        _check_own_port(service, config.environment.set, texts)
 
 
-def _check_own_port(one: Service, variables: Mapping[str, str], texts: Mapping[str, str]) -> None:
+def _check_own_port(service: Service, variables: Mapping[str, str], texts: Mapping[str, str]) -> None:
     """Check that a service whose port is awaited, or used elsewhere, is told this port."""
-    named = f"{{services.{one.name}.port}}"
-    told = any(OWN_PORT.search(word) or named in word for word in one.command) or any(
+    named = f"{{services.{service.name}.port}}"
+    told = any(OWN_PORT.search(word) or named in word for word in service.command) or any(
         named in value for value in variables.values()
     )
-    used = any(OWN_PORT.search(word) for word in one.ready[1:]) or any(named in text for text in texts.values())
+    used = any(OWN_PORT.search(word) for word in service.ready[1:]) or any(named in text for text in texts.values())
     if used and not told:
         raise ConfigError(
-            f"[services.{one.name}]: nothing tells the service its port; write {{port}} in its command, "
+            f"[services.{service.name}]: nothing tells the service its port; write {{port}} in its command, "
             f"or {named} in a variable of [environment] set"
         )
 
@@ -94,10 +94,10 @@ def described(spec: RunSpec) -> Mapping[str, str]:
     around = spec.around
     several = {"before": around.before, "after": around.after}
     lines = {name: "; ".join(map(shlex.join, argvs)) for name, argvs in several.items() if argvs}
-    for one in around.services:
-        kind, *test = one.ready
-        scope = ", scope: batch" if one.shared else ""
-        lines[f"service {one.name}"] = f"{shlex.join(one.command)}, ready: {kind} {shlex.join(test)}{scope}"
+    for service in around.services:
+        kind, *test = service.ready
+        scope = ", scope: batch" if service.shared else ""
+        lines[f"service {service.name}"] = f"{shlex.join(service.command)}, ready: {kind} {shlex.join(test)}{scope}"
     return lines | {f"robots {group}": shlex.join(argv) for group, argv in (spec.robots or {}).items()}
 
 

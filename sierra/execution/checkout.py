@@ -46,30 +46,30 @@ def programs_in(
     if spec.image is not None or spec.robots is not None:  # the programs are in the image, or on the robots
         return _without_leftovers(_beside_image(spec, manifest, root, data), spec, data, made)
     files = _named(spec, manifest, root, data, project)
-    words, *around = (commands.fill(one, root, project=project) for one in (spec.command, *spec.around.commands))
+    words, *around = (commands.fill(argv, root, project=project) for argv in (spec.command, *spec.around.commands))
     declared = commands.declared(variables, root, project)
-    found = programs.find(words, declared, root, files, project=project, around=around, named=commands.named_programs(spec))
-    return _without_leftovers(programs.of_project(found, (root, project or root)), spec, data, made)
+    used = programs.find(words, declared, root, files, project=project, around=around, named=commands.named_programs(spec))
+    return _without_leftovers(programs.of_project(used, (root, project or root)), spec, data, made)
 
 
-def _without_leftovers(found: Programs, spec: RunSpec, data: Programs, made: AbstractSet[str]) -> Programs:
+def _without_leftovers(used: Programs, spec: RunSpec, data: Programs, produced: AbstractSet[str]) -> Programs:
     """Return the programs without the files that a build leaves beside its products, for example a compiler's caches.
 
     A variable may name the whole folder (`LIBRARIES={project}/build`), but such files differ after each build.
     """
-    folders = {folder for name in made if (folder := PurePosixPath(name).parent).parts}
+    folders = {folder for name in produced if (folder := PurePosixPath(name).parent).parts}
     if not folders:
-        return found
-    kept = {one.path for one in data.all}
+        return used
+    kept = {program.path for program in data.all}
     words = commands.on_hosts((*spec.words, *spec.environment.values()), spec)
 
     def counts(one: Program) -> bool:
         name = one.name.removeprefix(IN_PROJECT)
-        if one.kind is not Kind.FILE or name == one.name or name in made or one.path in kept:
+        if one.kind is not Kind.FILE or name == one.name or name in produced or one.path in kept:
             return True
         return folders.isdisjoint(PurePosixPath(name).parents) or any(one.name in word for word in words)
 
-    return replace(found, all=tuple(one for one in found.all if counts(one)))
+    return replace(used, all=tuple(program for program in used.all if counts(program)))
 
 
 def _named(spec: RunSpec, manifest: bytes, root: Path, data: Programs, project: Path | None) -> Programs:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from sierra.errors import NotFound, SierraError
 from sierra.execution import sessions
-from sierra.execution.observer import Observer, Relay, Tally
+from sierra.execution.observer import Observer, ProgressCounter
 from sierra.execution.sessions import Session
 from sierra.runners import schedulers
 from sierra.runners.cluster import submission_record
@@ -77,24 +77,26 @@ def standing(store: Store, prefix: str | None = None, observer: Observer | None 
     Records finished runs first. `observer` receives notices. Raises NotFound.
     """
     observer = observer or Observer()
-    found = [row for paths in named(store, prefix) if (row := submitted(paths))]
-    rows = [_recorded(store, row, observer) for row in found]
+    submissions = [row for paths in named(store, prefix) if (row := submitted(paths))]
+    rows = [_recorded(store, row, observer) for row in submissions]
     with ThreadPoolExecutor(AT_ONCE) as pool:
         rows = list(pool.map(partial(_with_report, store), rows))
     rows = [
         _recorded(store, row, observer) if row.is_gone else row for row in rows
     ]  # sessions that ended between the two queries
-    counts = counted(store, [row.session for row in rows])
-    rows = [replace(row, done=counts[row.session][0], failed=counts[row.session][1]) for row in rows]
-    return sorted(rows, key=lambda row: (row.since, row.session))
+    return sorted(_with_counts(store, rows), key=lambda row: (row.since, row.session))
 
 
 def seen(store: Store, runs: AbstractSet[str]) -> list[ClusterSession]:
     """Return the status of all submissions with some of these runs; record nothing. `done` counts runs that are recorded."""
     chosen = (paths for paths in sessions.submitted(store.paths) if not runs.isdisjoint(sessions.claims(paths)))
-    found = [row for paths in chosen if (row := submitted(paths))]
+    submissions = [row for paths in chosen if (row := submitted(paths))]
     with ThreadPoolExecutor(AT_ONCE) as pool:
-        rows = list(pool.map(partial(_with_report, store), found))
+        return _with_counts(store, list(pool.map(partial(_with_report, store), submissions)))
+
+
+def _with_counts(store: Store, rows: list[ClusterSession]) -> list[ClusterSession]:
+    """Return the status of sessions with the numbers of recorded runs."""
     counts = counted(store, [row.session for row in rows])
     return [replace(row, done=counts[row.session][0], failed=counts[row.session][1]) for row in rows]
 
@@ -109,40 +111,40 @@ def named(store: Store, prefix: str | None) -> list[SessionPaths]:
 
     Raises NotFound if no batch or session has such an id.
     """
-    found = sessions.submitted(store.paths)
+    on_clusters = sessions.submitted(store.paths)
     if prefix is None:
-        return found
+        return on_clusters
     try:
         batch = store.resolve(prefix)
         if batch.kind != "batch":
             raise NotFound(f"{prefix!r} is a {batch.kind}; only batches and sessions can be on a cluster")
     except NotFound:
         begin = prefix.lower()
-        mine = [paths for paths in found if PREFIX.fullmatch(begin) and paths.root.name.startswith(begin)]
+        mine = [paths for paths in on_clusters if PREFIX.fullmatch(begin) and paths.root.name.startswith(begin)]
         if not mine:
             raise
         return mine
-    return [paths for paths in found if (row := submitted(paths)) and row.batch == batch.id]
+    return [paths for paths in on_clusters if (row := submitted(paths)) and row.batch == batch.id]
 
 
 def submitted(paths: SessionPaths) -> ClusterSession | None:
     """Return the status that a session's folder shows; None if the session has been closed."""
     try:
-        made = Submission.load(paths)
+        submission = Submission.load(paths)
         sent = submission_record.sent(paths)
         since = sent[0].when if sent else paths.submission.stat().st_mtime
     except FileNotFoundError:
         return None
     return ClusterSession(
         session=paths.root.name,
-        batch=made.batch,
+        batch=submission.batch,
         query=_asked(paths, "query"),
         target=_asked(paths, "target"),
-        runner=made.runner,
-        scheduler=made.version,
-        jobs=tuple(one.job for one in sent if one.job is not None),
-        array_tasks=len(made.counts),
-        runs=made.runs,
+        runner=submission.runner,
+        scheduler=submission.version,
+        jobs=tuple(job_sent.job for job_sent in sent if job_sent.job is not None),
+        array_tasks=len(submission.counts),
+        runs=submission.runs,
         since=datetime.fromtimestamp(since, UTC),
         cancelled=paths.cancelled.exists(),
     )
@@ -185,14 +187,15 @@ def _recorded(store: Store, row: ClusterSession, observer: Observer) -> ClusterS
 
     If the session is cancelled, end its jobs first.
     """
-    from sierra.execution.attach import attach  # loads all that records runs
+    from sierra.execution.follow import attach  # loads all that records runs
 
     paths = store.paths.session(row.session)
     session = Session.adopted(store.paths, paths)
     if session is None:
         return replace(row, attended=sessions.holder(paths)) if paths.submission.exists() else replace(row, ended=True)
     try:
-        attached = attach(store, session, Tally(Relay(observer, leave=not paths.cancelled.exists()), row.runs), detach=True)
+        counter = ProgressCounter(observer, row.runs, leave=not paths.cancelled.exists())
+        attached = attach(store, session, counter, detach=True)
     except SierraError as error:
         observer.notice(f"session {row.session}: {error}")
         return replace(row, ended=not paths.submission.exists())
@@ -205,13 +208,13 @@ def _with_report(store: Store, row: ClusterSession) -> ClusterSession:
         return replace(row, queued=0, running=0)
     paths = store.paths.session(row.session)
     try:
-        made = Submission.load(paths)
-        scheduler = schedulers.find(made.scheduler)(made.cluster)
+        submission = Submission.load(paths)
+        scheduler = schedulers.find(submission.scheduler)(submission.cluster)
         tasks = scheduler.look(submission_record.name_of(paths))
         if tasks is None:
             return row
         by = {state: [task for task in tasks if task.state is state] for state in State}
-        before = made.probed and by[State.QUEUED] and not by[State.RUNNING]
+        before = submission.probed and by[State.QUEUED] and not by[State.RUNNING]
         probing = (before and scheduler.look(submission_record.name_of(paths, "probe"))) or ()
     except FileNotFoundError:
         return replace(row, queued=0, running=0, ended=True)

@@ -187,19 +187,19 @@ def _with_arguments(words: tuple[str, ...], given: tuple[str, ...] | None) -> tu
     return tuple(chain.from_iterable(given if word == SPLICED else (word,) for word in words))
 
 
-def _with_inputs(word: str, project: Project, place: str) -> str:
+def _with_inputs(word: str, project: Project, where: str) -> str:
     """Return a word with the paths of templates in the run's folder. Raises ConfigError."""
     names = ", ".join(f"{{input.{name}}}" for name in project.templates)
 
     def filled(match: re.Match[str]) -> str:
         if match[1] not in project.templates:
             known = f"known are {names}" if names else "[templates] has none"
-            raise ConfigError(f"{place}: {match[0]} in {word!r} is no template; {known}")
+            raise ConfigError(f"{where}: {match[0]} in {word!r} is no template; {known}")
         return f"{{run}}/{os.path.normpath(project.templates[match[1]])}"
 
     if any(name == "input" for _, name in PLACEHOLDER.findall(word)) and len(project.template_paths) != 1:
         why = f"there are several templates; use {names}" if names else "there is no template; remove it, or set template"
-        raise ConfigError(f"{place}: {{input}} in {word!r}: {why}")
+        raise ConfigError(f"{where}: {{input}} in {word!r}: {why}")
     return ONE_INPUT.sub(filled, word)
 
 
@@ -208,20 +208,20 @@ def _check_varied(name: str, declared: Declared, place: str) -> None:
         raise QueryError(f'{place} uses {{{name}}}; add {name}=… to the query, or give the variable an "argument"')
 
 
-def _check_values(words: Sequence[str], declared: Declared, place: str) -> None:
+def _check_values(words: Sequence[str], declared: Declared, where: str) -> None:
     """Raise an error if the query does not vary a variable in the command, or if a value would be executed."""
     for number, word in enumerate(words):
-        found = [name for _, name in NAMED.findall(word) if name not in OWN_PLACEHOLDERS]
-        for name in found:
-            _check_varied(name, declared, "the command" if place == "command" else place)
-        if not (values := [name for name in found if name in declared.names]):
+        names = [name for _, name in NAMED.findall(word) if name not in OWN_PLACEHOLDERS]
+        for name in names:
+            _check_varied(name, declared, "the command" if where == "command" else where)
+        if not (values := [name for name in names if name in declared.names]):
             continue
         if number == 0:
-            raise ConfigError(f"{place}: a value of {values[0]!r} cannot choose the program; make {word!r} an argument")
-        interpreters = (one for one in words[: number - 1] if CODE.fullmatch(one.rpartition("/")[2]))
+            raise ConfigError(f"{where}: a value of {values[0]!r} cannot choose the program; make {word!r} an argument")
+        interpreters = (other for other in words[: number - 1] if CODE.fullmatch(other.rpartition("/")[2]))
         if re.fullmatch(r"-\w*[ce]", words[number - 1]) and (program := next(interpreters, None)):
             raise ConfigError(
-                f"{place}: {program} would execute a value of {values[0]!r} in {word!r} as code; give it as another argument"
+                f"{where}: {program} would execute a value of {values[0]!r} in {word!r} as code; give it as another argument"
             )
 
 
@@ -255,24 +255,24 @@ def environment(
 
 def _checked_variable(name: str, table: str, text: str, project: Project, declared: Declared) -> str:
     """Return a variable in which `{run.NAME}` stands for what only a run itself knows."""
-    place = f"{table} {name}"
+    where = f"{table} {name}"
 
     def own(match: re.Match[str]) -> str:
         used = match[2]
         if not used:
             return match[0][1:-1] if match[1] in declared.names and not PLACEHOLDER.fullmatch(match[0]) else match[0]
-        _check_varied(used, declared, place)
+        _check_varied(used, declared, where)
         if used in CHOSEN and used not in declared.names:
-            raise QueryError(f"{place} uses {{{used}}}, but no {used} is chosen; write {{{{{used}}}}} for the text {{{used}}}")
+            raise QueryError(f"{where} uses {{{used}}}, but no {used} is chosen; write {{{{{used}}}}} for the text {{{used}}}")
         if used not in (*OF_SINGLE, *declared.names):
             return match[0]
         if name in NOT_VARIED:
             raise ConfigError(
-                f"{place}: {{{used}}} differs between runs, but {name} says where programs are, before runs begin"
+                f"{where}: {{{used}}} differs between runs, but {name} says where programs are, before runs begin"
             )
         return f"{{run.{used}}}"
 
-    return NAMED.sub(own, _with_inputs(_literal(text), project, place))
+    return NAMED.sub(own, _with_inputs(_literal(text), project, where))
 
 
 def _literal(text: str) -> str:

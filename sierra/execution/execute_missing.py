@@ -13,19 +13,18 @@ from pathlib import Path
 
 from sierra.errors import Missing
 from sierra.execution import expected_durations, recover, sessions
-from sierra.execution.attach import attach
 from sierra.execution.expected_durations import Order
-from sierra.execution.follow import Followed
-from sierra.execution.observer import Relay, Tally
+from sierra.execution.follow import Followed, attach
+from sierra.execution.observer import ProgressCounter
 from sierra.execution.plan import Plan, context, session_step
 from sierra.execution.reuse import FileCheck, State, failed_twice, rules_changed, states
-from sierra.execution.run_jobs import Service, Setup
+from sierra.execution.run_jobs import JobService, Setup
 from sierra.execution.run_options import RunOptions
 from sierra.execution.session_steps import Core, SessionStep
 from sierra.execution.sessions import Session
 from sierra.ingest import shared_use
 from sierra.ingest.changed_files import Doubt
-from sierra.ingest.consistency import find_odd
+from sierra.ingest.consistency import find_inconsistent
 from sierra.ingest.rejudge import reevaluate
 from sierra.model import Batch, Run
 from sierra.provenance.dependency_model import Programs
@@ -52,7 +51,7 @@ NOTED = 4
 
 
 class RunState(StrEnum):
-    """State of a run in this session. Runs without a state are untouched; the tally has the results of executed runs."""
+    """State of a run in this session. Runs without a state are untouched; the counter has the results of executed runs."""
 
     AWAITED = "awaited"
     """Another session was executing it, or had submitted it."""
@@ -80,15 +79,15 @@ class Executor:
         session: Session,
         runner: Callable[[], Runner],
         options: RunOptions,
-        found: FileCheck | None = None,
+        checked: FileCheck | None = None,
         recorded: tuple[AbstractSet[str], dict[str, State]] | None = None,
     ) -> None:
-        """`found`: the comparison of the files that recorded executions used, as the session has recorded it.
+        """`checked`: the comparison of the files that recorded executions used, as the session has recorded it.
 
         `recorded`: the state of each run when the store had segments with these names.
         """
         self.plan = plan
-        self.found = found
+        self.checked = checked
         self.store = store
         self.session = session
         self.interrupted = False
@@ -101,10 +100,10 @@ class Executor:
         """True if the last session of the batch used other rules."""
         self._runner = runner
         self._options = options
-        observer = Relay(options.observer, leave=True) if options.detach else options.observer
         self._context = context(plan, session.id, session.number)
-        self._tally = Tally(observer, len(self._selected({run.id for run in plan.batch.runs})))
-        self._service: Service | None = None
+        total = len(self._selected({run.id for run in plan.batch.runs}))
+        self._counter = ProgressCounter(options.observer, total, leave=True if options.detach else None)
+        self._service: JobService | None = None
         self._recorded = recorded
         self._before: dict[str, int] | None = None
         """Number of executions at the beginning, of each run that has some and lacks a successful one."""
@@ -116,7 +115,7 @@ class Executor:
     @property
     def attempted(self) -> AbstractSet[str]:
         """Return the runs that this session has executed to their end."""
-        return self._tally.statuses.keys()
+        return self._counter.statuses.keys()
 
     @property
     def reexecuted(self) -> AbstractSet[str]:
@@ -164,19 +163,40 @@ class Executor:
 
         At the end, observe one more run of an experiment if nobody knows otherwise whether its runs share a file.
         """
-        self._answer()
+        while not (self.interrupted or self.left):
+            recorded = self.store.names()
+            wanted = self._wanted()
+            if not wanted or self._is_enough():
+                break
+            claimed = self.session.claim(wanted)
+            if self.store.names() != recorded:
+                continue  # claimed runs may have been executed since the store was read
+            self._set((wanted - claimed) - self._run_states.keys(), RunState.AWAITED)
+            if not claimed:
+                if self._wait(wanted):
+                    continue
+                break
+            rest = self._reevaluate(claimed)
+            if len(rest) < len(claimed):
+                continue
+            inconsistent = self._execute_claimed(rest)
+            unfinished = self._in(RunState.CLAIMED) - self.attempted
+            if not self.left and rest <= unfinished and not self.interrupted:
+                raise Missing(f"{self.session.paths.root}: the worker ended without reporting a result for any run")
+            if len(rest) == len(wanted) and not unfinished and not inconsistent:
+                break
         if not self.left:
             self._compare()
 
     def _compare(self) -> None:
         """Execute runs again, observed, if this tells whether runs share a file; those that most likely do have failed."""
-        if (self.failed or self._tally.failed) and (unseen := shared_use.unseen(self.store, self._context)):
+        if (self.failed or self._counter.failed) and (unseen := shared_use.unseen(self.store, self._context)):
             self._observe(unseen, FAILED)
         undecided = shared_use.undecided(self.store, self._context)
         if undecided:
             self._observe(undecided, SECOND)
         if undecided or self.attempted:
-            self.fail(shared_use.find(self.store, self.session.paths, self._context, settle=True))
+            self.fail(shared_use.find(self.store, self.session.paths, self._context, final=True))
 
     def _observe(self, runs: set[str], why: str) -> None:
         """Execute runs again, observed, if that is possible here and now."""
@@ -185,37 +205,11 @@ class Executor:
             return
         self._options.observer.notice(why.format(few(["run " + short(run) for run in sorted(runs)], SHOWN)))
         service = self._prepared(self._code(), stays=False)
-        work = (runner, self._context, self._inputs(runs), len(runs), self.plan.programs, self._tally)
-        followed = service.execute(*work, doubt=self._find_change, attempt=1, observed=True)
+        work = (runner, self._context, self._inputs(runs), len(runs), self.plan.programs, self._counter)
+        followed = service.execute_jobs(*work, doubt=self._find_change, attempt=1, observed=True)
         self.notes += tuple(note for note in followed.notes if note not in self.notes)
         self.interrupted = followed.interrupted
         self.fail(followed.inconsistent)
-
-    def _answer(self) -> None:
-        while not (self.interrupted or self.left):
-            recorded = self.store.names()
-            wanted = self._wanted()
-            if not wanted or self._is_enough():
-                return
-            mine = self.session.claim(wanted)
-            if self.store.names() != recorded:
-                continue  # claimed runs may have been executed since the store was read
-            self._set((wanted - mine) - self._run_states.keys(), RunState.AWAITED)
-            if not mine:
-                if self._wait(wanted):
-                    continue
-                return
-            rest = self._reevaluate(mine)
-            if len(rest) < len(mine):
-                continue
-            odd = self._execute(rest)
-            if self.left:
-                return
-            unfinished = self._in(RunState.CLAIMED) - self.attempted
-            if rest <= unfinished and not self.interrupted:
-                raise Missing(f"{self.session.paths.root}: the worker ended without reporting a result for any run")
-            if len(rest) == len(wanted) and not unfinished and not odd:
-                return
 
     def _wanted(self) -> set[str]:
         """Return the runs without a successful execution that no session has tried since this one began."""
@@ -224,7 +218,7 @@ class Executor:
         if self._before is None:
             self._before = {run: now[run].executions for run in wanted if now[run].executions}
             self._set(() if self._options.retry else failed_twice(self.plan, self.store, now), RunState.GIVEN_UP)
-            self._tally.reused = self._tally.total - len(self._selected(wanted) - self.given_up)
+            self._counter.reused = self._counter.total - len(self._selected(wanted) - self.given_up)
         self.fail({run for run in wanted if now[run].executions > self._before.get(run, 0)})
         return self._selected(wanted) - self.failed - self.given_up - self.attempted - self._in(RunState.SKIPPED)
 
@@ -233,7 +227,7 @@ class Executor:
         known, self._recorded = self._recorded, None
         if known is not None and self.store.names() == known[0]:
             return known[1]
-        return states(self.plan, self.store, self.found)
+        return states(self.plan, self.store, self.checked)
 
     def _reevaluate(self, claimed: set[str]) -> set[str]:
         """Evaluate the recorded executions of these runs again, once each, if rules have changed.
@@ -251,13 +245,13 @@ class Executor:
                 f"executing {counted(count, 'run')} again; their records cannot be evaluated by the changed rules: {lack}"
             )
         if evaluated.judged:
-            find_odd(self.store, self.session.paths, self._context)
+            find_inconsistent(self.store, self.session.paths, self._context)
         self._set(evaluated.judged, RunState.REEVALUATED)
-        self._tally.reused += len(evaluated.judged)
+        self._counter.reused += len(evaluated.judged)
         self.notes += tuple(evaluated.notes)
         return claimed - evaluated.judged
 
-    def _execute(self, wanted: AbstractSet[str]) -> set[str]:
+    def _execute_claimed(self, wanted: AbstractSet[str]) -> set[str]:
         """Execute these runs; return those with an execution, new or old, that is inconsistent with other executions."""
         runner, plan = self._runner(), self.plan
         root, programs = self._snapshot() if runner.remote else (self._code(), plan.programs)
@@ -269,9 +263,9 @@ class Executor:
             order, times = expected_durations.expected(plan, self.store, wanted)
         elif len(wanted) > (self._options.slots or 1):
             order = expected_durations.longest_first(plan, self.store, wanted)
-        self._tally.expect(order.by_run(wanted))
-        work = (runner, self._context, self._inputs(wanted, order.batch), len(wanted), programs, self._tally)
-        followed = service.execute(
+        self._counter.expect(order.by_run(wanted))
+        work = (runner, self._context, self._inputs(wanted, order.batch), len(wanted), programs, self._counter)
+        followed = service.execute_jobs(
             *work,
             times=times,
             detach=self._options.detach,
@@ -280,35 +274,37 @@ class Executor:
             enough=self._is_enough,
             experiments={run.experiment for run in plan.batch.runs if run.id in wanted},
         )
-        self.fail(self._tally.failed)
+        self.fail(self._counter.failed)
         self.notes += followed.notes
         self.left += [self.session.paths] if followed.left else []
         cancelled = self.session.paths.cancelled.exists() and not self._is_enough()
         self.interrupted = cancelled or followed.interrupted
         return followed.inconsistent
 
-    def _by_step(self, step: SessionStep, wanted: AbstractSet[str], service: Service, programs: Programs) -> set[str]:
+    def _by_step(self, step: SessionStep, wanted: AbstractSet[str], service: JobService, programs: Programs) -> set[str]:
         """Let a step execute these runs; return those with an inconsistent execution."""
 
         def execute(run: Run, attempt: int, runner: Runner, trial: Mapping[str, JsonView]) -> Followed:
             now, runs = replace(self._context, trial=trial), self._inputs({run.id})
             doubt, enough = self._find_change, self._is_enough
-            return service.execute(runner, now, runs, 1, programs, self._tally, doubt=doubt, enough=enough, attempt=attempt)
+            return service.execute_jobs(
+                runner, now, runs, 1, programs, self._counter, doubt=doubt, enough=enough, attempt=attempt
+            )
 
-        core = Core(self.plan, self.store, self.session, self._tally, self._runner, execute, self._is_enough)
+        core = Core(self.plan, self.store, self.session, self._counter, self._runner, execute, self._is_enough)
         outcome = step.execute(wanted, core)
-        self.fail(self._tally.failed)
+        self.fail(self._counter.failed)
         self.notes += tuple(outcome.notes)
         self._set(outcome.skipped, RunState.SKIPPED)
         self.interrupted = outcome.interrupted
         return outcome.inconsistent
 
-    def _prepared(self, root: Path, *, stays: bool) -> Service:
+    def _prepared(self, root: Path, *, stays: bool) -> JobService:
         """Return the service that executes the runs; its isolation is prepared at the first call."""
         if self._service is None:
             plan = self.plan
             setup = Setup(plan.project, plan.batch.spec, plan.engine, plan.image, plan.limits, root, plan.environment)
-            self._service = Service(setup, self.store, self.session, stays=stays)
+            self._service = JobService(setup, self.store, self.session, stays=stays)
             self.notes += self._service.isolation.notes
         return self._service
 
@@ -320,14 +316,14 @@ class Executor:
 
     def _is_enough(self) -> bool:
         """Check whether to execute no more runs. Runs go on while none is known to have used the files that have changed."""
-        if self._tally.doubted or (self._file_change is not None and self._file_change.files is None):
+        if self._counter.doubted or (self._file_change is not None and self._file_change.files is None):
             return True
-        return self._options.fail_fast and (self._has_failed or bool(self._tally.failed))
+        return self._options.fail_fast and (self._has_failed or bool(self._counter.failed))
 
     def _inputs(self, wanted: AbstractSet[str], batch: Batch | None = None) -> Iterator[tuple[Run, Files]]:
         """Yield these runs with their input files, each run once, in the order of this batch; default: that of the plan."""
         plan = self.plan
-        unique = len(plan.batch.runs) == self._tally.total
+        unique = len(plan.batch.runs) == self._counter.total
         sent: set[str] = set()
         for run, files in plan.inputs.files(batch or plan.batch, lambda run: run.id in wanted):
             if unique or run.id not in sent:
@@ -352,8 +348,8 @@ class Executor:
         plan = self.plan
         checkout = plan.checkout or plan.snapshot(self.store.blob)
         root = self.session.paths.source
-        made = not root.exists()
-        if made:
+        is_new = not root.exists()
+        if is_new:
             checkout.make(root)
         programs = checkout.programs_in(root)
         meanwhile = "while they were being copied for other hosts"
@@ -361,7 +357,7 @@ class Executor:
             raise Missing(f"{doubt}; run the command again")
         if programs.id != plan.programs.id:
             raise Missing(f"programs have changed {meanwhile}: {few(plan.programs.unlike(programs), 3)}; run the command again")
-        if made and (left_out := checkout.left_out()):  # reported last: the callback may write to a file of the project
+        if is_new and (left_out := checkout.left_out()):  # reported last: the callback may write to a file of the project
             what = "nodes get only those that the command, a variable or a template names"
             self._options.observer.notice(f"git ignores {left_out} in the project: {what}")
         return root, programs
@@ -396,7 +392,7 @@ class Executor:
                     raise Missing(
                         f"{self._others(wanted)} executes these {self._step.runs}; stop it, or wait until it has ended"
                     )
-                self._tally.report(0, elsewhere=len(wanted))
+                self._counter.report(0, elsewhere=len(wanted))
                 time.sleep(JOIN_S)
                 recover.finish_dead(self.store, self._options.observer)
                 if self.store.names() != known:
@@ -424,17 +420,17 @@ class Executor:
         """Follow runs that were submitted before."""
         mine = sessions.claims(session.paths) & wanted
         self._options.observer.notice(f"following {counted(len(mine), 'run')} submitted before (session {session.id})")
-        attached = attach(self.store, session, _Joined(self._tally, mine), detach=self._options.detach)
+        attached = attach(self.store, session, _Joined(self._counter, mine), detach=self._options.detach)
         self.notes += attached.notes
         self.left += [session.paths] if attached.left else []
         self.interrupted = attached.interrupted
 
 
-class _Joined(Tally):
-    """The tally of another session that is followed here: it reports this session's progress, and the runs to come."""
+class _Joined(ProgressCounter):
+    """The counter of another session that is followed here: it reports this session's progress, and the runs to come."""
 
-    def __init__(self, own: Tally, runs: set[str]) -> None:
-        super().__init__(own.observer, len(runs))
+    def __init__(self, own: ProgressCounter, runs: set[str]) -> None:
+        super().__init__(own.observer, len(runs), leave=own.decision)
         self._own = own
         self._runs = runs
 

@@ -67,8 +67,8 @@ class _Known:
             values = tuple(timed.values.values())
             self._exact[values] = max(timed.seconds, self._exact.get(values, 0.0))
         self.numbers = {
-            name: sorted(value for value in found if value is not None and not isinstance(value, str))
-            for name, found in self.slowest_by.items()
+            name: sorted(value for value in durations if value is not None and not isinstance(value, str))
+            for name, durations in self.slowest_by.items()
         }
         """The numeric values, by variable."""
 
@@ -101,8 +101,8 @@ def expected(plan: Plan, store: Store | None, runs: AbstractSet[str], most: floa
     order = _sorted(plan.batch, _seconds(plan, known, exact))
     ordered = list({run.id: run for run in order.batch.runs if run.id in runs}.values())
     each = tuple(order.seconds[run.experiment] for run in ordered)
-    new = tuple(place for place, run in enumerate(ordered) if exact[run.experiment] is None)
-    timed = sum(found is not None for found in exact.values())
+    new = tuple(position for position, run in enumerate(ordered) if exact[run.experiment] is None)
+    timed = sum(duration is not None for duration in exact.values())
     return order, Times(each, new, _description(timed, len(exact), plan.batch.axes))
 
 

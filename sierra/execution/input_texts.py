@@ -31,15 +31,15 @@ def written(config: Project) -> Iterator[str]:
 def set_by(designed: Design) -> set[str]:
     """Return the texts that a query puts into the template: values of `--set`, and values of axes that are not numeric."""
     names = [axis.name for axis in designed.axes if not axis.numeric]
-    found = {change.value for change in designed.query.sets}
+    values = {change.value for change in designed.query.sets}
     for cell in designed.cells if names else ():
         for change in cell.changes:
             if isinstance(change, Set):
                 filled = change.value
                 for name in names:
                     filled = filled.replace(f"{{{name}}}", str(cell.values[name]))
-                found.add(filled)
-    return found
+                values.add(filled)
+    return values
 
 
 def given_by(designed: Design, command: Sequence[str]) -> set[str]:

@@ -222,12 +222,12 @@ def whole(axes: Sequence[str], controller: str | None, scenario: str | None) -> 
 
 def on_clusters(store: Store) -> dict[str, list[OnCluster]]:
     """Return the sessions that are on clusters, by batch, as far as this machine knows them."""
-    found: dict[str, list[OnCluster]] = {}
+    by_batch: dict[str, list[OnCluster]] = {}
     for paths in sessions.submitted(store.paths):
         from sierra.execution.cluster_status import submitted  # most projects have nothing on a cluster
 
         with contextlib.suppress(Damaged):  # it belongs to another version of SIERRA, which must continue it
-            if one := submitted(paths):
-                session = OnCluster(one.session, one.runner, one.jobs, one.array_tasks, one.runs, one.since)
-                found.setdefault(one.batch, []).append(session)
-    return found
+            if row := submitted(paths):
+                session = OnCluster(row.session, row.runner, row.jobs, row.array_tasks, row.runs, row.since)
+                by_batch.setdefault(row.batch, []).append(session)
+    return by_batch

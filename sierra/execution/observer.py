@@ -47,29 +47,16 @@ class Observer:
         return True
 
 
-class Relay(Observer):
-    """Passes progress and notices on to another observer, with a decision that is made already."""
-
-    def __init__(self, observer: Observer, *, leave: bool) -> None:
-        self._observer = observer
-        self._leave = leave
-
-    def progress(self, progress: Progress) -> None:
-        self._observer.progress(progress)
-
-    def notice(self, text: str) -> None:
-        self._observer.notice(text)
-
-    def leave(self) -> bool:
-        return self._leave
-
-
-class Tally:
+class ProgressCounter:
     """Counts the runs of a session as they end, and reports the counts to an observer."""
 
-    def __init__(self, observer: Observer, total: int, reused: int = 0, failed: int = 0) -> None:
-        """`total` is the number of runs; `reused` of them have a result already. `failed` more have failed before."""
+    def __init__(self, observer: Observer, total: int, reused: int = 0, failed: int = 0, *, leave: bool | None = None) -> None:
+        """`total` is the number of runs; `reused` of them have a result already. `failed` more have failed before.
+
+        `leave`: the decision about jobs on a cluster: see `Observer.leave`; None to let the observer decide.
+        """
         self.observer = observer
+        self.decision = leave
         self.total = total
         self.reused = reused
         self.statuses: dict[str, Status] = {}
@@ -81,6 +68,10 @@ class Tally:
         self._failed_before = failed
         self._seconds: Mapping[str, float] = {}
         self._done_s = self._all_s = 0.0
+
+    def leave(self) -> bool:
+        """Return the decision about jobs on a cluster; ask the observer if there is none yet."""
+        return self.observer.leave() if self.decision is None else self.decision
 
     def expect(self, seconds: Mapping[str, float]) -> None:
         """Receive the expected seconds of runs that will be executed; nothing if they are not known, or do not differ."""

@@ -201,8 +201,8 @@ def taken(store: Store, batch: str, outputs: Mapping[str, Output], *, inside: bo
             layouts.setdefault(row.output, []).append(row)
         sizes = {row.output: row for row in snapshot.select(_Rows, ROWS)}
         tables = tuple(
-            _table(snapshot, found, sizes[name], outputs.get(name), _format(outputs.get(name) or _undeclared(found)))
-            for name, found in sorted(layouts.items())
+            _table(snapshot, columns, sizes[name], outputs.get(name), _format(outputs.get(name) or _undeclared(columns)))
+            for name, columns in sorted(layouts.items())
         )
         contents = {row.output: row for row in snapshot.select(_Content, CONTENTS)}
         rows = snapshot.select(_Unread, UNREAD)
@@ -300,8 +300,8 @@ def _rates(snapshot: Snapshot, size: _Rows, columns: Sequence[tuple[str, TakenCo
     if size.runs < 2 or (size.least, size.most) != (1, 1) or not numbers:
         return
     tests = ", ".join(ONLY_0_AND_1.format(column=identifier(name)) for _, name in numbers)
-    [found] = snapshot.run(RATES.format(tests=tests, table=identifier(size.output)))
-    yield from (original for (original, _), is_rate in zip(numbers, found, strict=True) if is_rate)
+    [are_rates] = snapshot.run(RATES.format(tests=tests, table=identifier(size.output)))
+    yield from (original for (original, _), is_rate in zip(numbers, are_rates, strict=True) if is_rate)
 
 
 def _columns(snapshot: Snapshot, layouts: Iterable[_Layout], declared: Output | None) -> Iterator[tuple[str, TakenColumn]]:
@@ -330,7 +330,7 @@ def _durations(row: _Layout) -> Iterator[str]:
     yield from (name for name, kind in TableLayout.load(row.table_layout).columns.items() if kind == DURATION)
 
 
-def proposed(found: TakenOutputs) -> dict[str, dict[str, Key]]:
+def proposed(outputs: TakenOutputs) -> dict[str, dict[str, Key]]:
     """Return the keys of `[outputs.NAME]` for each table that is not declared, and for files that they make tables of.
 
     The tables that exist stay the same, except those of files that are no plain CSV, and those of several files: if each run
@@ -338,21 +338,23 @@ def proposed(found: TakenOutputs) -> dict[str, dict[str, Key]]:
     are left out: their keys are not known.
     """
     tables: dict[str, dict[str, Key]] = {}
-    for name, (file, same) in _undeclared_tables(found).items():
+    for name, (file, same) in _undeclared_tables(outputs).items():
         rates = [column for column in same[0].rates if all(column in table.rates for table in same)]
-        tables[name] = {"file": with_rotation(file, (one.path for one in found.unread))}
+        tables[name] = {"file": with_rotation(file, (unread_file.path for unread_file in outputs.unread))}
         tables[name] |= same[0].keys
-        tables[name] |= {} if sum(table.runs for table in same) >= found.runs else {"required": False}
+        tables[name] |= {} if sum(table.runs for table in same) >= outputs.runs else {"required": False}
         tables[name] |= {"rates": rates} if rates else {}
-    return tables | {one.name: dict(one.keys) for one in found.unread if one.keys}
+    return tables | {unread_file.name: dict(unread_file.keys) for unread_file in outputs.unread if unread_file.keys}
 
 
-def _undeclared_tables(found: TakenOutputs) -> dict[str, tuple[str, list[TakenTable]]]:
+def _undeclared_tables(outputs: TakenOutputs) -> dict[str, tuple[str, list[TakenTable]]]:
     """Return the tables that are not declared, by the name that they get: the file or its pattern, and what became tables."""
     names: dict[str, tuple[str, list[TakenTable]]] = {}
-    taken = {table.name for table in found.tables}
-    undeclared = [table for table in found.tables if not table.declared and table.format != FILE_FORMAT]
-    of_robots = open_names.of_robots({table.file: [one.original or one.name for one in table.columns] for table in undeclared})
+    taken = {table.name for table in outputs.tables}
+    undeclared = [table for table in outputs.tables if not table.declared and table.format != FILE_FORMAT]
+    of_robots = open_names.of_robots(
+        {table.file: [column.original or column.name for column in table.columns] for table in undeclared}
+    )
     for table in undeclared:
         pattern = of_robots.get(table.file) or open_names.with_date(table.file)
         name = open_names.name_of(pattern) if pattern else table.name

@@ -21,15 +21,15 @@ from sierra.util.text import few
 
 def check_paths(config: Project, query: Query, root: Path) -> None:
     """Raise ConfigError if a template or a change names a file of the project by its absolute path on this machine."""
-    inside = re.compile("(?:" + "|".join(re.escape(f"{one}/") for one in {root, root.resolve()}) + r")([^\s\"'<>,;]+)")
+    inside = re.compile("(?:" + "|".join(re.escape(f"{folder}/") for folder in {root, root.resolve()}) + r")([^\s\"'<>,;]+)")
     texts = [(path, referenced_files.text(root / path)) for path in config.template_paths]
     texts += [("sierra.toml", text) for text in input_texts.written(config)]
     texts += [(change.why, change.value) for change in query.sets]
     for where, text in texts:
-        if found := inside.search(text):
+        if path_here := inside.search(text):
             raise ConfigError(
-                f"{where}: {found[0]} is a path of this machine, and ids must not depend on it; "
-                f'write value = "{IN_PROJECT}{found[1]}" in a change'
+                f"{where}: {path_here[0]} is a path of this machine, and ids must not depend on it; "
+                f'write value = "{IN_PROJECT}{path_here[1]}" in a change'
             )
 
 

@@ -108,7 +108,7 @@ class Recalled:
         used = tuple((program.name, program.kind) for program in self.programs)
         container = project.config.container if self.spec.image else None
         mounted = container_setup.data(NOTHING, container, project.root) if container else NOTHING
-        built = {one.name: one.sha256 for one in self.build.products} if self.build else {}
+        built = {product.name: product.sha256 for product in self.build.products} if self.build else {}
         digests = {program.name: program.sha256 for program in self.programs}
         return Checkout(
             project.root,
@@ -146,7 +146,7 @@ def recall(store: Store, batch: str, programs: str, ingest_rules: str) -> Recall
         rules = required_row(IngestRulesRow, snapshot, "SELECT * FROM ingest_rules WHERE ingest_rules = $r", r=ingest_rules)
         used = row_queries.programs(snapshot, [programs])
         build = recorded_build.find(snapshot, row.source, programs)
-        observed = {one.path: one.sha256 for one in snapshot.select(_Observed, OBSERVED, b=batch, p=programs)}
+        observed = {file.path: file.sha256 for file in snapshot.select(_Observed, OBSERVED, b=batch, p=programs)}
         code = snapshot.select(SourceRow, "SELECT * FROM sources WHERE tree = $t LIMIT 1", t=row.source)
     outputs, success, readers = rules_of(json.loads(rules.declared))
     manifest, commit = (store.object(code[0].files), code[0].commit) if code else (b"", None)
@@ -201,13 +201,13 @@ def image(project: LoadedProject, store: Store, spec: RunSpec) -> AnyImage | Non
     """
     if spec.image is None:
         return None
-    pinned = {one.id: one for one in images.all_pinned(project.root).values()}
+    pinned = {variant.id: variant for variant in images.all_pinned(project.root).values()}
     if spec.image in pinned:
         return pinned[spec.image]
     row = _image_row(store, spec.image)
     if ids := record.variants(row):
-        known = {processor: _variant(store, one, pinned) for processor, one in ids.items()}
-        return ImageVariants(row.name or row.image, ids, {name: one for name, one in known.items() if one})
+        known = {processor: _variant(store, variant, pinned) for processor, variant in ids.items()}
+        return ImageVariants(row.name or row.image, ids, {name: variant for name, variant in known.items() if variant})
     return _contents(store, row).image
 
 
@@ -244,17 +244,17 @@ def inputs(store: Store, runs: Iterable[ChosenExecution]) -> Iterator[tuple[Chos
     pending = iter(runs)
     with store.snapshot() as snapshot:
         while some := list(itertools.islice(pending, AT_A_TIME)):
-            files: dict[str, list[Recorded]] = {one.run: [] for one in some}
+            files: dict[str, list[Recorded]] = {row.run: [] for row in some}
             listed = recorded(snapshot, some, inputs=True)
             for name in {file.path.removeprefix(INPUT_FOLDER) for file in listed}:
                 inside(store.paths.work, name)
             for file in listed:
                 files[file.taken.run].append(file)
-            bytes_of = {one.file.sha256: b"".join(one.pieces) for one in contents(snapshot, listed)}
-            for one in some:
-                if not files[one.run]:
-                    raise Damaged(f"the input of run {short(one.run)} is not in the store")
-                yield one, tuple((file.path.removeprefix(INPUT_FOLDER), bytes_of[file.sha256]) for file in files[one.run])
+            bytes_of = {row.file.sha256: b"".join(row.pieces) for row in contents(snapshot, listed)}
+            for row in some:
+                if not files[row.run]:
+                    raise Damaged(f"the input of run {short(row.run)} is not in the store")
+                yield row, tuple((file.path.removeprefix(INPUT_FOLDER), bytes_of[file.sha256]) for file in files[row.run])
 
 
 @dataclass(frozen=True, slots=True)
@@ -272,24 +272,24 @@ class Inputs:
 
 def plan(project: LoadedProject, store: Store, prefix: str, *, contained: str | None = None) -> Plan:
     """Return the plan that executes a recorded batch as it was recorded. Raises NotFound, Missing."""
-    found = store.resolve(prefix)
-    if found.kind != "batch":
-        of = f": sierra run {short(found.batch)}" if found.batch else ""
-        raise NotFound(f"{prefix!r} is a {found.kind}; missing runs can only be executed for a whole batch{of}")
+    named = store.resolve(prefix)
+    if named.kind != "batch":
+        of = f": sierra run {short(named.batch)}" if named.batch else ""
+        raise NotFound(f"{prefix!r} is a {named.kind}; missing runs can only be executed for a whole batch{of}")
     with store.snapshot() as snapshot:
-        row = required_row(BatchRow, snapshot, "SELECT * FROM batches WHERE batch = $b", b=found.id)
-        [last] = snapshot.select(Last, LAST, b=found.id)
-    project = targets.of_batch(project, store, found.id)
+        row = required_row(BatchRow, snapshot, "SELECT * FROM batches WHERE batch = $b", b=named.id)
+        [last] = snapshot.select(Last, LAST, b=named.id)
+    project = targets.of_batch(project, store, named.id)
     if last.ingest_rules is None or last.programs is None:
-        raise Missing(f"batch {short(found.id)}: none of its sessions has finished; submit its query instead: {row.query}")
-    recalled = recall(store, found.id, last.programs, last.ingest_rules)
+        raise Missing(f"batch {short(named.id)}: none of its sessions has finished; submit its query instead: {row.query}")
+    recalled = recall(store, named.id, last.programs, last.ingest_rules)
     checkout = recalled.checkout(project, store)
     used, lacking = found_or(NOTHING, checkout.programs)
     batch = _batch(store, row, recalled.spec)
     text = last.query or row.query
     return Plan(
         project=project,
-        request=repeated(row._asdict(), len(batch.experiments[0].runs), targets.recorded(store, found.id)),
+        request=repeated(row._asdict(), len(batch.experiments[0].runs), targets.recorded(store, named.id)),
         query=Query(
             tuple(Criterion(axis.name, Listed(axis.values)) for axis in batch.axes),
             len(batch.experiments[0].runs),
@@ -306,7 +306,7 @@ def plan(project: LoadedProject, store: Store, prefix: str, *, contained: str | 
         checkout=checkout,
         programs=used,
         environment=this_environment(project.config),
-        engine=engine(store, found.id, recalled.spec, contained, project.config.engines, hosted=False),
+        engine=engine(store, named.id, recalled.spec, contained, project.config.engines, hosted=False),
         image=image(project, store, recalled.spec),
         limits=commands.limits(project.config),
         template_sha256=row.template_sha256,
@@ -333,7 +333,7 @@ def _batch(store: Store, row: BatchRow, spec: RunSpec) -> Batch:
         Experiment(str(cell["experiment"]), ordinal, axis_values(row.axes, cell), tuple(runs[ordinal]))
         for ordinal, cell in cells.items()
     )
-    axes = tuple(Axis(name, tuple(dict.fromkeys(one.values[name] for one in experiments))) for name in row.axes)
+    axes = tuple(Axis(name, tuple(dict.fromkeys(experiment.values[name] for experiment in experiments))) for name in row.axes)
     return Batch(row.batch, axes, experiments, spec, row.spec)
 
 

@@ -133,10 +133,12 @@ def out_of_reach(plan: Plan, logs: Sequence[str] | None) -> Iterator[str]:
     `logs` are logs of failed runs: the hint then names only files that they mention. With None, it names all.
     """
     config, root = plan.project.config, plan.project.root
-    made = {*plan.batch.runs[0].names, *(row.name for row in plan.shared_files)}
+    inputs = {*plan.batch.runs[0].names, *(row.name for row in plan.shared_files)}
     meant: dict[str, Path] = {}
     for template in (root / path for path in config.template_paths):
-        beside = {os.path.relpath(root / name, template.parent) for name in made} if config.templates or config.files else made
+        beside = (
+            {os.path.relpath(root / name, template.parent) for name in inputs} if config.templates or config.files else inputs
+        )
         for word in referenced_files.relative_names(template, input_texts.written(config), root):
             if os.path.normpath(word) not in beside and (logs is None or any(Path(word).name in log for log in logs)):
                 meant.setdefault(word, template.parent)

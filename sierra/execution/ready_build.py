@@ -110,7 +110,7 @@ def _end_left(plan: Plan, store: Store) -> None:
 def _build(plan: Plan, state: BuildState, store: Store, observer: Observer) -> None:
     """Execute the build of a plan and record it. Raises SierraError if it fails."""
     recipe, root = state.recipe, plan.project.root
-    _check_outside(plan, state, [one.name for one in state.products])
+    _check_outside(plan, state, [product.name for product in state.products])
     observer.notice(f"building, because {state.reason}")
     place = Place(root, plan.project, plan.engine, images.here(plan.image))
     session = Session(store.paths, logged=False)
@@ -154,8 +154,8 @@ def _checked(plan: Plan, state: BuildState, ended: Ended) -> Ended:
 def _move_aside(root: Path, state: BuildState, store: Store) -> None:
     """Move older products out of the way of the command. A link stays; the file that it leads to is moved."""
     with disk_errors(store.paths.build_aside):
-        for one in state.products:
-            path = (root / one.name).resolve()
+        for product in state.products:
+            path = (root / product.name).resolve()
             if path.is_relative_to(root.resolve()) and path.is_file() and not _is_source(path, root, state):
                 target = store.paths.build_aside / path.relative_to(root.resolve())
                 target.parent.mkdir(parents=True, exist_ok=True)
@@ -201,9 +201,9 @@ def _really_built(ended: Ended, state: BuildState, store: Store) -> Ended:
     recorded = set(store.values(str, OF_BUILD, b=state.recipe.id))
     if ended.reason is not None or not recorded:
         return ended
-    made = {one.name: one.sha256 for one in ended.products}
-    before = [one for one in state.products if made.get(one.name) == one.sha256]
-    if not (same := [one.name for one in before if f"{one.name} {one.sha256}" not in recorded]):
+    now = {product.name: product.sha256 for product in ended.products}
+    before = [product for product in state.products if now.get(product.name) == product.sha256]
+    if not (same := [product.name for product in before if f"{product.name} {product.sha256}" not in recorded]):
         return ended
     what = f"the command left {few(same, SHOWN)} as it was, although it is not the file that was built from this source"
     return replace(ended, reason=f"{what}; let the command build everything (cmake --build … --clean-first)")

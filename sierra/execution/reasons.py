@@ -65,6 +65,6 @@ class Basis(StrEnum):
     BATCH = "batch"
 
 
-WORTH = (ChangeReason.FAILED, ChangeReason.RULES, ChangeReason.PROGRAMS, ChangeReason.REUSED)
+BY_USEFULNESS = (ChangeReason.FAILED, ChangeReason.RULES, ChangeReason.PROGRAMS, ChangeReason.REUSED)
 """Recorded executions by their usefulness for a session, the least useful first; SQL uses the positions."""
-FAILED, RULES, PROGRAMS, REUSED = range(len(WORTH))
+FAILED, RULES, PROGRAMS, REUSED = range(len(BY_USEFULNESS))

@@ -49,8 +49,8 @@ def finish_dead(store: Store, observer: Observer) -> Recovered:
     A session that cannot be recorded is moved away. `observer` receives a notice about each.
     """
     recovered, left_out = 0, []
-    with sessions.dead(store.paths) as found:
-        for paths in list(found):
+    with sessions.dead(store.paths) as dead:
+        for paths in list(dead):
             from sierra.runners import local  # what recovers sessions is loaded only if one has died
 
             try:
@@ -58,7 +58,7 @@ def finish_dead(store: Store, observer: Observer) -> Recovered:
                 _sweep(paths)
                 count = recover(store, paths)
             except Exception as error:
-                found.remove(paths)
+                dead.remove(paths)
                 message = _left_out(store, paths, error)
                 log.warning("%s", message)
                 log.debug("".join(traceback.format_exception(error)))
@@ -115,7 +115,7 @@ def recover(store: Store, paths: SessionPaths) -> int:
 
     Returns the number of recorded executions that were not interrupted.
     """
-    from sierra.ingest.consistency import find_odd
+    from sierra.ingest.consistency import find_inconsistent
     from sierra.ingest.recorder import Recorder
 
     events = list(Journal(paths.journal).read())
@@ -135,7 +135,7 @@ def recover(store: Store, paths: SessionPaths) -> int:
     added = [recorder.add(result) for result in missing]
     recorder.flush()
     # nobody compares runs that may share a file any more
-    find_odd(store, paths, context, min(recorder.lost, _lost(events)), settle=True)
+    find_inconsistent(store, paths, context, min(recorder.lost, _lost(events)), final=True)
     return sum(status is not Status.INTERRUPTED for status in added)
 
 

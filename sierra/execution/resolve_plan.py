@@ -82,12 +82,12 @@ def _plan(project: LoadedProject, request: QueryRequest, engine: str | None, rep
     platform = platforms.find(config.platform, config)
     contained, image = _contained(project, engine)
     box = config.container if image else None
-    made = config.build.produces if config.build else ()
+    produced = config.build.produces if config.build else ()
     declared = run_values.declared(config, _named_values(query, config))
-    command = commands.command(platform, root, contained=image is not None, made=made, declared=declared, project=config)
-    surroundings = around.declared(config, root, declared, contained=image is not None, made=made)
+    command = commands.command(platform, root, contained=image is not None, made=produced, declared=declared, project=config)
+    surroundings = around.declared(config, root, declared, contained=image is not None, made=produced)
     around.check_ports(config, command, surroundings)
-    groups = on_robots.of_groups(config, root, declared, made, contained=image is not None)
+    groups = on_robots.of_groups(config, root, declared, produced, contained=image is not None)
     variables = commands.environment(platform, config, declared, contained=box is not None)
     of_groups = tuple(word for argv in (groups or {}).values() for word in argv)
     filled = commands.as_written(variables)
@@ -100,7 +100,9 @@ def _plan(project: LoadedProject, request: QueryRequest, engine: str | None, rep
     written = (text.replace(IN_PROJECT, "") for text in input_texts.written(config))
     data = referenced_files.data(texts, written, root, held, own)
     of_plugins = tuple(_of_plugins(project.plugin_files(OF_INPUTS), root))
-    data = replace(data, all=(*data.all, *(one for one in _converted(code, root) if one not in of_plugins), *of_plugins))
+    data = replace(
+        data, all=(*data.all, *(program for program in _converted(code, root) if program not in of_plugins), *of_plugins)
+    )
     if box:
         data = container_setup.data(data, box, root)
     beside = shared_files.find(config, root)
@@ -162,7 +164,7 @@ def _plan(project: LoadedProject, request: QueryRequest, engine: str | None, rep
         shared_files=beside,
         build=built,
         lacking=lacking,
-        plugins={one.name: one.sha256 for one in of_plugins},
+        plugins={program.name: program.sha256 for program in of_plugins},
         notes=(
             *code.notes,
             *plan_notes.not_repeated(designed, config, texts),
@@ -213,11 +215,11 @@ def _used(spec: RunSpec, code: source.Source, root: Path, data: Programs, built:
     """Return the programs and files that runs use. Before the first build, none may be known."""
     if built is None:
         return programs_in(spec, code.manifest, root, data)
-    made = referenced_files.existing((f"{{project}}/{one.name}" for one in built.products), root)
-    known = {one.path for one in data.all}
-    data = Programs((*data.all, *(one for one in made.all if one.path not in known)), data.notes)
+    products = referenced_files.existing((f"{{project}}/{program.name}" for program in built.products), root)
+    known = {program.path for program in data.all}
+    data = Programs((*data.all, *(program for program in products.all if program.path not in known)), data.notes)
     try:
-        used = programs_in(spec, code.manifest, root, data, made={one.name for one in built.products})
+        used = programs_in(spec, code.manifest, root, data, made={program.name for program in built.products})
         return _built(used, built, spec)
     except Missing:
         if built.reason is None:
@@ -233,9 +235,9 @@ def _built(used: Programs, built: BuildState, spec: RunSpec) -> Programs:
     left_out = built.recipe.left_out(used)
     if left_out and spec.robots is None:
         name = left_out[0].name.removeprefix(IN_PROJECT)
-        made = ", ".join(built.recipe.processors)
-        raise Missing(f'runs need {name}, but [build] is for {made}; add "{processors.here()}" to arch in [build]')
-    return replace(used, all=tuple(one for one in used.all if one not in left_out))
+        processors_built = ", ".join(built.recipe.processors)
+        raise Missing(f'runs need {name}, but [build] is for {processors_built}; add "{processors.here()}" to arch in [build]')
+    return replace(used, all=tuple(program for program in used.all if program not in left_out))
 
 
 def found_or(files: Programs, find: Callable[[], Programs]) -> tuple[Programs, str]:

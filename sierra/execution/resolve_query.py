@@ -51,7 +51,7 @@ def resolve(project: LoadedProject, request: QueryRequest) -> Query:
             runs=request.runs or (named and named.runs) or config.runs,
             controller=request.controller or (named and named.controller) or None,
             scenario=request.scenario or (named and named.scenario) or None,
-            sets=tuple(Set(one.xpath, one.value, why=f"--set {one.xpath}") for one in request.overrides),
+            sets=tuple(Set(change.xpath, change.value, why=f"--set {change.xpath}") for change in request.overrides),
             base_seed=config.seed.base,
         )
         targets.check(project, query)

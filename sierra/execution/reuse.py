@@ -11,7 +11,7 @@ from sierra.execution.observation import reusable_executions, stale_sessions
 from sierra.execution.observation.file_sets import UsedFile
 from sierra.execution.observation.reusable_executions import Reusable
 from sierra.execution.plan import Plan, context
-from sierra.execution.reasons import FAILED, PROGRAMS, REUSED, RULES, WORTH, ChangeReason, Reason
+from sierra.execution.reasons import BY_USEFULNESS, FAILED, PROGRAMS, REUSED, RULES, ChangeReason, Reason
 from sierra.store.store import Snapshot, Store
 from sierra.util.lazy_definitions import dataclass, field, replace
 
@@ -33,9 +33,9 @@ class FileCheck:
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """Recorded state of a run: the place of its best execution in `WORTH`; None without an execution."""
+    """Recorded state of a run: the place of its best execution in `BY_USEFULNESS`; None without an execution."""
 
-    worth: int | None = None
+    usefulness: int | None = None
     reason: str | None = None
     """Reason why the last execution failed, if all failed."""
     failed: int = 0
@@ -55,7 +55,7 @@ class State:
 
     @property
     def succeeded(self) -> bool:
-        return self.worth == REUSED
+        return self.usefulness == REUSED
 
     @property
     def change(self) -> Reason:
@@ -64,31 +64,35 @@ class State:
             return Reason(ChangeReason.REEVALUATED)
         if self.unchanged:
             return Reason(ChangeReason.UNCHANGED)
-        if self.worth is None:
+        if self.usefulness is None:
             return Reason(ChangeReason.NEW)
-        if self.unobserved and self.worth == PROGRAMS:
+        if self.unobserved and self.usefulness == PROGRAMS:
             return Reason(ChangeReason.UNOBSERVED)
-        kind = ChangeReason.FAILED_TWICE if self.failed_twice else WORTH[self.worth]
+        kind = ChangeReason.FAILED_TWICE if self.failed_twice else BY_USEFULNESS[self.usefulness]
         if kind in (ChangeReason.FAILED, ChangeReason.FAILED_TWICE):
             return Reason(kind, self.reason or "")
         return Reason(kind, self.lack or "") if kind is ChangeReason.RULES else Reason(kind)
 
     def reused(self) -> State:
         """Return this state with an execution that counts although the source or the programs differ."""
-        return replace(self, worth=REUSED, unchanged=True)
+        return replace(self, usefulness=REUSED, unchanged=True)
 
-    def with_files(self, run: str, found: FileCheck) -> State:
+    def with_files(self, run: str, checked: FileCheck) -> State:
         """Return this state of a run with what the comparison of files found."""
-        if run in found.reusable:
+        if run in checked.reusable:
             return self.reused()
-        return replace(self, unobserved=True) if run in found.unobserved else self
+        return replace(self, unobserved=True) if run in checked.unobserved else self
 
-    def after(self, worth: int, reason: str | None, failed: int, judgements: int) -> State:
+    def after(self, usefulness: int, reason: str | None, failed: int, judgements: int) -> State:
         """Return this state with one more execution, which was evaluated `judgements` times."""
         count = self.executions + judgements
-        if self.worth is None or worth > self.worth or (worth == FAILED == self.worth and failed > self.failed):
-            return State(worth, reason, failed, count)
-        return State(self.worth, self.reason, self.failed, count)
+        if (
+            self.usefulness is None
+            or usefulness > self.usefulness
+            or (usefulness == FAILED == self.usefulness and failed > self.failed)
+        ):
+            return State(usefulness, reason, failed, count)
+        return State(self.usefulness, self.reason, self.failed, count)
 
 
 class _LastSession(NamedTuple):
@@ -117,13 +121,13 @@ def is_answered(plan: Plan, store: Store) -> bool:
             return False
         if not snapshot.values(int, "SELECT 1 FROM batches WHERE batch = $b LIMIT 1", b=plan.batch.id):
             return False  # its records are lost
-        found, found_states = check(plan, snapshot)
-        if stale_sessions.recorded(snapshot) != found.stale.keys():
+        checked, recorded = check(plan, snapshot)
+        if stale_sessions.recorded(snapshot) != checked.stale.keys():
             return False
-        reused = {run: one.execution for run, one in found.reusable.items()}
+        reused = {run: execution.execution for run, execution in checked.reusable.items()}
         if reused and reusable_executions.recorded(snapshot) != reused:
             return False
-        return all(state.succeeded for state in found_states.values())
+        return all(state.succeeded for state in recorded.values())
 
 
 def check(plan: Plan, records: Store | Snapshot) -> tuple[FileCheck, dict[str, State]]:
@@ -132,8 +136,8 @@ def check(plan: Plan, records: Store | Snapshot) -> tuple[FileCheck, dict[str, S
         stale, other = stale_sessions.find_with_sets(plan, snapshot)
         recorded = states(plan, snapshot, FileCheck(stale))
         lacking = [run for run, state in recorded.items() if not state.succeeded]
-        found = FileCheck(stale, *reusable_executions.find(plan, snapshot, lacking, stale, other))
-    return found, {**recorded, **{run: recorded[run].with_files(run, found) for run in lacking}}
+        checked = FileCheck(stale, *reusable_executions.find(plan, snapshot, lacking, stale, other))
+    return checked, {**recorded, **{run: recorded[run].with_files(run, checked) for run in lacking}}
 
 
 def is_repeated(plan: Plan, store: Store) -> bool:
@@ -142,25 +146,25 @@ def is_repeated(plan: Plan, store: Store) -> bool:
     return store.values(str, last, b=plan.batch.id) == [plan.programs.id]
 
 
-def states(plan: Plan, records: Store | Snapshot | None, found: FileCheck | None = None) -> dict[str, State]:
+def states(plan: Plan, records: Store | Snapshot | None, checked: FileCheck | None = None) -> dict[str, State]:
     """Return the recorded state of each run of the batch, by run id. `found`: the comparison of files, if it is known."""
     new = State()
     runs = dict.fromkeys((run.id for run in plan.batch.runs), new)
     if records is None:
         return runs
-    if found is None:
+    if checked is None:
         return check(plan, records)[1]
     same: dict[State, State] = {}
     with records.snapshot() if isinstance(records, Store) else contextlib.nullcontext(records) as snapshot:
         snapshot.run("SET threads = 1")  # each thread would hold its own copy of 100,000 runs
-        for run, worth, reason, failed, judgements in snapshot.each(
-            *_statement(plan, snapshot, list(runs), found.stale.keys())
+        for run, usefulness, reason, failed, judgements in snapshot.each(
+            *_statement(plan, snapshot, list(runs), checked.stale.keys())
         ):
             if run in runs:
-                state = runs[run].after(worth, reason, failed, judgements)
+                state = runs[run].after(usefulness, reason, failed, judgements)
                 runs[run] = same.setdefault(state, state)
-    for run in (found.reusable.keys() | found.unobserved) & runs.keys():
-        runs[run] = runs[run].with_files(run, found)
+    for run in (checked.reusable.keys() | checked.unobserved) & runs.keys():
+        runs[run] = runs[run].with_files(run, checked)
     return runs
 
 
@@ -178,9 +182,9 @@ HAVING count(*) = 2 AND min(how) = max(how) AND min(how)[1] = 'failed' AND bool_
 """The runs whose program ended with the same error twice. Limits may be raised, and other failures have other causes."""
 
 
-def failed_twice(plan: Plan, store: Store, found: Mapping[str, State]) -> set[str]:
+def failed_twice(plan: Plan, store: Store, recorded: Mapping[str, State]) -> set[str]:
     """Return the runs whose program ended with the same error twice, with the programs and rules of a plan."""
-    failed = [run for run, state in found.items() if state.worth == FAILED and state.executions > 1]
+    failed = [run for run, state in recorded.items() if state.usefulness == FAILED and state.executions > 1]
     if not failed:
         return set()
     with store.snapshot() as snapshot:
@@ -190,20 +194,20 @@ def failed_twice(plan: Plan, store: Store, found: Mapping[str, State]) -> set[st
     return {run for (run,) in rows}
 
 
-def foreseen(plan: Plan, store: Store | None, found: Mapping[str, State]) -> dict[str, State]:
+def foreseen(plan: Plan, store: Store | None, recorded: Mapping[str, State]) -> dict[str, State]:
     """Return these states with the effect of evaluating executions again by changed rules, and with those that failed twice."""
-    bad = [run for run, state in found.items() if state.worth in (FAILED, RULES)]
+    bad = [run for run, state in recorded.items() if state.usefulness in (FAILED, RULES)]
     if store is None or not bad:
-        return dict(found)
+        return dict(recorded)
     from sierra.ingest.rejudge import foresee
 
     now = context(plan)
-    result = dict(found)
-    for run in failed_twice(plan, store, found):
-        result[run] = replace(found[run], failed_twice=True)
+    result = dict(recorded)
+    for run in failed_twice(plan, store, recorded):
+        result[run] = replace(recorded[run], failed_twice=True)
     for evaluation in foresee(store, now, bad, mismatched=rules_changed(plan, store)):
-        result |= {run: replace(found[run], reevaluated=True) for run in evaluation.possible}
-        result |= {run: replace(found[run], lack=lack) for run, lack in evaluation.lacking.items()}
+        result |= {run: replace(recorded[run], reevaluated=True) for run in evaluation.possible}
+        result |= {run: replace(recorded[run], lack=lack) for run, lack in evaluation.lacking.items()}
     return result
 
 
@@ -221,8 +225,8 @@ OF_SPEC = (
 )
 EACH = f"""
 SELECT run, CASE WHEN status NOT IN ('ok', 'accepted') THEN {FAILED} WHEN ingest_rules <> $ingest_rules THEN {RULES}
-    WHEN programs <> $programs OR list_contains($stale, session) THEN {PROGRAMS} ELSE {REUSED} END AS worth,
-    CASE WHEN worth = {FAILED} THEN reason END, CASE WHEN worth = {FAILED} THEN lamport ELSE 0 END, {{count}}
+    WHEN programs <> $programs OR list_contains($stale, session) THEN {PROGRAMS} ELSE {REUSED} END AS usefulness,
+    CASE WHEN usefulness = {FAILED} THEN reason END, CASE WHEN usefulness = {FAILED} THEN lamport ELSE 0 END, {{count}}
 {OF_SPEC}
 """
 REEVALUATED = """(

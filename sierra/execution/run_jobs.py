@@ -21,7 +21,7 @@ from sierra.execution import commands, shared_files
 from sierra.execution.follow import Followed, follow
 from sierra.execution.observation import choose_runs
 from sierra.execution.observation.plan_files import folders
-from sierra.execution.observer import Tally
+from sierra.execution.observer import ProgressCounter
 from sierra.execution.project_source import not_in_checkouts
 from sierra.execution.sessions import Session
 from sierra.ingest.changed_files import Doubt
@@ -59,7 +59,7 @@ class Setup:
     """Environment of this process."""
 
 
-class Service:
+class JobService:
     """Executes runs of one session."""
 
     def __init__(self, setup: Setup, store: Store, session: Session, *, stays: bool, images: StorePaths | None = None) -> None:
@@ -135,14 +135,14 @@ class Service:
         names = Names(self._folders(programs))
         return None if any(map(names.left_out, paths)) else {path: recorded_name(names.name(path)) for path in paths}
 
-    def execute(
+    def execute_jobs(
         self,
         runner: Runner,
         context: Context,
         inputs: Iterable[tuple[Run, Files]],
         count: int,
         programs: Programs,
-        tally: Tally,
+        counter: ProgressCounter,
         *,
         times: Times | None = None,
         detach: bool = False,
@@ -188,7 +188,7 @@ class Service:
         recorder = Recorder(self._store, self._session.paths, context, kept, doubt)
         try:
             with _without_byte_code():
-                return follow(runner, recorder, self._store, self._session, tally, work, detach=detach, enough=enough)
+                return follow(runner, recorder, self._store, self._session, counter, work, detach=detach, enough=enough)
         finally:
             if not self._stays:
                 self.isolation.close()

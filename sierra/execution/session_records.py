@@ -79,12 +79,8 @@ def keep(plan: Plan, store: Store, session: Session) -> None:
     if isinstance(plan.image, Image):
         writer.records([_row_of_image(plan, store, plan.image, objects)])
     objects.close()
-    writer.records([batch_row(plan, _lamport(session))])
-    writer.records([spec_rows.of_batch(batch)])
     writer.records([code.row(listing)])
-    _write_host(plan, writer)
-    _write_experiments(batch, writer)
-    writer.records(_members(batch))
+    _write_batch(plan, session, writer)
     with sessions.exclusively(store.paths):
         if store.names() == seen or not is_kept(plan, store):
             store.publish(writer)
@@ -151,10 +147,10 @@ def keep_variants(plan: Plan, store: Store, session: Session) -> None:
     rows = [] if plan.image.id in recorded else [record.row(plan.image)]
     writer = store.writer(session.paths.segment, plan.batch.id)
     objects = Objects(writer.path("objects"))
-    for one in _for_hosts(plan, plan.image):
-        if one.id not in recorded:
+    for image in _for_hosts(plan, plan.image):
+        if image.id not in recorded:
             with contextlib.suppress(Missing, Damaged):
-                rows.append(_row_of_image(plan, store, one, objects))
+                rows.append(_row_of_image(plan, store, image, objects))
     objects.close()
     writer.records(rows)
     store.publish(writer)
@@ -175,13 +171,18 @@ def _row_of_image(plan: Plan, store: Store, image: Image, objects: Objects) -> I
 def keep_for_trial(plan: Plan, store: Store, session: Session) -> None:
     """Record a batch in the store of a trial, without its inputs and its source."""
     writer = store.writer(session.paths.segment, plan.batch.id)
+    writer.records(plan.shared_files)
+    _write_batch(plan, session, writer)
+    store.publish(writer)
+
+
+def _write_batch(plan: Plan, session: Session, writer: Writer) -> None:
+    """Write the records of a batch, its experiments and its runs, and of the machine."""
     writer.records([batch_row(plan, _lamport(session))])
     writer.records([spec_rows.of_batch(plan.batch)])
-    writer.records(plan.shared_files)
     _write_host(plan, writer)
     _write_experiments(plan.batch, writer)
     writer.records(_members(plan.batch))
-    store.publish(writer)
 
 
 def keep_check(plan: Plan, store: Store, session: Session) -> tuple[FileCheck, dict[str, State]]:
@@ -189,14 +190,14 @@ def keep_check(plan: Plan, store: Store, session: Session) -> tuple[FileCheck, d
 
     Return also the state of each run.
     """
-    found, recorded = check(plan, store)
-    if found.stale or found.reusable:
+    checked, recorded = check(plan, store)
+    if checked.stale or checked.reusable:
         writer = store.writer(session.paths.segment, plan.batch.id)
-        writer.records(StaleSessionRow(session.id, one, file.path) for one, file in found.stale.items())
-        writer.records(ReusedExecutionRow(session.id, run, one.execution) for run, one in found.reusable.items())
-        writer.records(unused_changes(plan, store, session.id, found.reusable.values(), found.stale))
+        writer.records(StaleSessionRow(session.id, one, file.path) for one, file in checked.stale.items())
+        writer.records(ReusedExecutionRow(session.id, run, one.execution) for run, one in checked.reusable.items())
+        writer.records(unused_changes(plan, store, session.id, checked.reusable.values(), checked.stale))
         store.publish(writer)
-    return found, recorded
+    return checked, recorded
 
 
 def close(plan: Plan, store: Store, session: Session, summary: Summary, begun: SessionRow) -> None:

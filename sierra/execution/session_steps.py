@@ -10,7 +10,7 @@ from sierra.util.lazy_definitions import dataclass, field
 
 if TYPE_CHECKING:
     from sierra.execution.follow import Followed
-    from sierra.execution.observer import Tally
+    from sierra.execution.observer import ProgressCounter
     from sierra.execution.plan import Plan
     from sierra.execution.sessions import Session
     from sierra.model import Run
@@ -26,7 +26,7 @@ class Core:
     plan: Plan
     store: Store
     session: Session
-    tally: Tally
+    counter: ProgressCounter
     runner: Callable[[], Runner]
     """Makes a runner, which executes one run."""
     execute: Callable[[Run, int, Runner, Mapping[str, JsonView]], Followed]

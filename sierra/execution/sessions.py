@@ -81,24 +81,24 @@ class Session:
 
         Returns None if another process has it, or if it is gone.
         """
-        made = cls.__new__(cls)
-        made.id, made.paths, made.store, made.recorded = paths.root.name, paths, store, True
-        made.number, made.seen = _number(paths), frozenset()
-        made._generation, made._beaten = 0, time.monotonic()
+        session = cls.__new__(cls)
+        session.id, session.paths, session.store, session.recorded = paths.root.name, paths, store, True
+        session.number, session.seen = _number(paths), frozenset()
+        session._generation, session._beaten = 0, time.monotonic()
         with exclusively(store):
             if not (paths.submission.exists() and ownership_marks.is_session(paths.root) and _is_own(paths)):
                 return None
             try:
-                made._lock = locked(paths.lock, wait=False)
+                session._lock = locked(paths.lock, wait=False)
             except (BlockingIOError, PermissionError):
                 return None
-            generation = _take_over(paths) if made._lock is None else 0
+            generation = _take_over(paths) if session._lock is None else 0
             if generation is None:
                 return None
-            made._generation = generation
-        _sign(made._lock)
-        made._log_begin(f"was taken over as generation {made._generation}")
-        return made
+            session._generation = generation
+        _sign(session._lock)
+        session._log_begin(f"was taken over as generation {session._generation}")
+        return session
 
     def _log_begin(self, what: str | None) -> None:
         """Open the log file and log how this process has got the session; with None, log nothing."""
@@ -178,7 +178,7 @@ def others(store: StorePaths, own: str) -> set[str]:
 def dead(store: StorePaths) -> Iterator[list[SessionPaths]]:
     """Yield the dead sessions that no other process finishes now; remove them at the end."""
     held: list[int] = []
-    found: list[SessionPaths] = []
+    dead_sessions: list[SessionPaths] = []
     with exclusively(store):
         for paths in all_of(store):
             if paths.submission.exists():
@@ -190,11 +190,11 @@ def dead(store: StorePaths) -> Iterator[list[SessionPaths]]:
             if lock is not None:
                 held.append(lock)
             if lock is not None or _take_over(paths) is not None:
-                found.append(paths)
+                dead_sessions.append(paths)
     try:
-        yield found
-        _remove_temporary(found)
-        for paths in found:  # without those that the caller has taken out
+        yield dead_sessions
+        _remove_temporary(dead_sessions)
+        for paths in dead_sessions:  # without those that the caller has taken out
             _remove(store, paths)
     finally:
         for lock in held:
@@ -214,19 +214,19 @@ def alive(store: StorePaths) -> list[SessionPaths]:
 
     Call this within `exclusively`, and only if that yields True (the file system has locks).
     """
-    found = []
+    living = []
     for paths in all_of(store):
         if paths.submission.exists():
-            found.append(paths)
+            living.append(paths)
             continue
         try:
             lock = locked(paths.lock, wait=False)
         except (BlockingIOError, PermissionError):
-            found.append(paths)
+            living.append(paths)
         else:
             if lock is not None:
                 os.close(lock)
-    return found
+    return living
 
 
 @contextlib.contextmanager

@@ -37,17 +37,17 @@ def find(project: Project, root: Path) -> tuple[SharedFileRow, ...]:
     """Return the files that `files` names now, without templates, in the order of their names. Raises ConfigError, Missing."""
     templates = {os.path.normpath(path) for path in project.template_paths}
     digests = HashCache()
-    found: dict[str, SharedFileRow] = {}
+    rows_by_name: dict[str, SharedFileRow] = {}
     for pattern in project.files:
-        before = len(found)
+        before = len(rows_by_name)
         names = [name for path in _below(root, pattern) if (name := str(path.relative_to(root))) not in templates]
-        found.update((name, _row(root, name, digests)) for name in names if name not in found)
-        if not names and len(found) == before:
+        rows_by_name.update((name, _row(root, name, digests)) for name in names if name not in rows_by_name)
+        if not names and len(rows_by_name) == before:
             folder = re.sub(r"/?[^/]*\{.*", "", pattern) or "."
             filled = f"; all runs get the same files: name the folder {folder!r} here, and {{run}}/{pattern} in the command"
             raise ConfigError(f"files: {pattern!r} matches no file of the project{filled if '{' in pattern else ''}")
     digests.save()
-    rows = [found[name] for name in sorted(found)]
+    rows = [rows_by_name[name] for name in sorted(rows_by_name)]
     identity = shared_id(rows)
     return tuple(row._replace(shared=identity) for row in rows)
 
@@ -61,13 +61,13 @@ def _below(root: Path, pattern: str) -> Iterator[Path]:
         if any((root / part).is_symlink() for part in (relative, *relative.parents)):
             raise ConfigError(f"files: {one_line(str(relative))} is a link, or in one; name the files themselves")
         if path.is_dir():
-            for one in sorted(path.rglob("*")):
-                if not set(LEFT_OUT).isdisjoint(one.relative_to(root).parts):
+            for file in sorted(path.rglob("*")):
+                if not set(LEFT_OUT).isdisjoint(file.relative_to(root).parts):
                     continue
-                if one.is_symlink():
-                    raise ConfigError(f"files: {one_line(str(one.relative_to(root)))} is a link; name the files themselves")
-                if not one.is_dir():
-                    yield one
+                if file.is_symlink():
+                    raise ConfigError(f"files: {one_line(str(file.relative_to(root)))} is a link; name the files themselves")
+                if not file.is_dir():
+                    yield file
         elif path.exists():
             yield path
 

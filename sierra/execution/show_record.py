@@ -56,17 +56,17 @@ from sierra.util.text import natural
 
 def show(store: Store, prefix: str) -> Shown:
     """Return everything that is recorded about the object with this id prefix. Raises NotFound."""
-    found = store.resolve(prefix)
+    record = store.resolve(prefix)
     with store.snapshot() as snapshot:
-        match found.kind:
+        match record.kind:
             case "batch":
-                return _batch(snapshot, found.id, on_clusters(store).get(found.id, []))
+                return _batch(snapshot, record.id, on_clusters(store).get(record.id, []))
             case "experiment":
-                return _experiment(snapshot, found)
+                return _experiment(snapshot, record)
             case "run":
-                return _run(snapshot, found)
+                return _run(snapshot, record)
             case _:
-                return _execution(snapshot, found.id)
+                return _execution(snapshot, record.id)
 
 
 def batch(store: Store, identity: str) -> ShownBatch:
@@ -98,7 +98,7 @@ def _batch(snapshot: Snapshot, identity: str, clusters: Sequence[OnCluster]) -> 
         attempts=snapshot.select(Attempt, ATTEMPTS_OF_BATCH, b=identity),
         sessions=sessions,
         clusters=clusters,
-        targets=sorted({one.target for one in sessions if one.target}),
+        targets=sorted({session.target for session in sessions if session.target}),
         captures=snapshot.select(CaptureOfBatch, CAPTURES, b=identity) if snapshot.holds("captures") else (),
         imports=snapshot.select(ImportOfBatch, IMPORTS, b=identity) if snapshot.holds("imports") else (),
         robots=snapshot.select(RobotOfBatch, ROBOTS, b=identity) if spec.robots else (),
@@ -276,20 +276,20 @@ WHERE v.run = $r ORDER BY r.lamport, v.path
 """
 
 
-def _run(snapshot: Snapshot, found: ResolvedId) -> ShownRun:
-    [row] = snapshot.rows("SELECT * FROM runs WHERE run = $r", r=found.id)
-    files = recorded(snapshot, take(snapshot, found))
+def _run(snapshot: Snapshot, record: ResolvedId) -> ShownRun:
+    [row] = snapshot.rows("SELECT * FROM runs WHERE run = $r", r=record.id)
+    files = recorded(snapshot, take(snapshot, record))
     spec = required_row(SpecRow, snapshot, "SELECT * FROM specs WHERE spec = $r", r=str(row["spec"]))
     return ShownRun(
         row=row,
         command=_command(snapshot, spec, str(row["seed"]), [file for file in files if file.kind == "input"]),
         spec=spec,
-        executions=snapshot.select(ExecutionRow, "SELECT * FROM executions WHERE run = $r ORDER BY lamport", r=found.id),
-        reused_from=next(iter(snapshot.values(str, REUSED_FROM, r=found.id)), None),
-        batches=snapshot.values(str, BATCHES, r=found.id),
-        attempts=snapshot.select(Attempt, ATTEMPTS_AT_RUN, r=found.id, e=None),
-        nondeterminism=snapshot.select(Nondeterminism, NONDETERMINISM, b=None, r=found.id),
-        verdicts=snapshot.select(VerdictOnRun, VERDICTS, r=found.id),
+        executions=snapshot.select(ExecutionRow, "SELECT * FROM executions WHERE run = $r ORDER BY lamport", r=record.id),
+        reused_from=next(iter(snapshot.values(str, REUSED_FROM, r=record.id)), None),
+        batches=snapshot.values(str, BATCHES, r=record.id),
+        attempts=snapshot.select(Attempt, ATTEMPTS_AT_RUN, r=record.id, e=None),
+        nondeterminism=snapshot.select(Nondeterminism, NONDETERMINISM, b=None, r=record.id),
+        verdicts=snapshot.select(VerdictOnRun, VERDICTS, r=record.id),
         files=[RecordedFile(file.path, file.kind, file.bytes, file.sha256) for file in files],
     )
 

@@ -200,7 +200,7 @@ class ShownImage:
         if row is None:
             return known
         if row.variants:
-            ids = (one.partition("=") for one in row.variants)
+            ids = (variant.partition("=") for variant in row.variants)
             return {**known, "images": ", ".join(f"{processor} {images.short(identity)}" for processor, _, identity in ids)}
         counts = ", ".join(f"{len(lines)} of {manager}" for manager, lines in self.packages.items())
         return {

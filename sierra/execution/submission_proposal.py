@@ -46,10 +46,10 @@ def proposal(
     Returns None if the runner has no cluster, or if all missing runs are on a cluster already. With `detach`, no process
     would follow the jobs. `runs`: only these runs are submitted. Raises ConfigError.
     """
-    found = runners.scheduler_of(runner, plan.project.config.runners)
-    if found is None or not (wanted := forecast(plan, store, runs).to_execute):
+    cluster = runners.scheduler_of(runner, plan.project.config.runners)
+    if cluster is None or not (wanted := forecast(plan, store, runs).to_execute):
         return None
-    scheduler, table = found
+    scheduler, table = cluster
     wrote = _wrote(plan, store) if store else None
     _, times = expected_durations.expected(plan, store, wanted)
     return propose(

@@ -5,20 +5,17 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from collections.abc import Set as AbstractSet
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from sierra.execution.plan import Plan
 from sierra.execution.plan_notes import out_of_reach
+from sierra.execution.shown_records import Failed
+from sierra.execution.summary import Counted, Failure, Summary
 from sierra.model import Batch
 from sierra.store.store import Store
 from sierra.util.lazy_definitions import replace
-from sierra.util.text import counted
-
-if TYPE_CHECKING:
-    pass
-
-from sierra.execution.shown_records import Failed
-from sierra.execution.summary import Counted, Failure, Summary
+from sierra.util.text import counted, few
+from sierra.worker.shared_services import UNOBSERVED
 
 SHOWN_REASONS = 10
 
@@ -69,11 +66,18 @@ def of_session(
         detached=detached,
         counts=tuple(_counts(plan.batch, failed | missing if failed else missing, tried)),
         failures=failures,
-        selected=None if only is None else sum(all(run.id in only for run in one.runs) for one in plan.batch.experiments),
+        selected=None
+        if only is None
+        else sum(all(run.id in only for run in experiment.runs) for experiment in plan.batch.experiments),
         left_out=left_out,
         target=plan.target,
         notes=(*plan.notes, *dict.fromkeys(notes)),
     )
+
+
+def _count_selected(batch: Batch, only: AbstractSet[str]) -> int:
+    """Return the number of experiments to which the session was limited."""
+    return sum(all(run.id in only for run in experiment.runs) for experiment in batch.experiments)
 
 
 def _counts(batch: Batch, bad: AbstractSet[str], tried: AbstractSet[str]) -> Iterator[Counted]:
@@ -101,8 +105,8 @@ def with_outcomes(plan: Plan, store: Store, summary: Summary) -> Summary:
     for row in (accepted := store.select(_Accepted, ACCEPTED, b=plan.batch.id)):
         ends[row.ordinal] += row.runs
     counts = (
-        replace(one, succeeded=one.succeeded - ends[ordinal], accepted=ends[ordinal])
-        for ordinal, one in enumerate(summary.counts)
+        replace(row_before, succeeded=row_before.succeeded - ends[ordinal], accepted=ends[ordinal])
+        for ordinal, row_before in enumerate(summary.counts)
     )
     return replace(summary, counts=tuple(counts), outcomes=_outcomes(accepted))
 
@@ -158,8 +162,8 @@ def of_recorded(
     from sierra.execution import show_record
 
     shown = show_record.batch(store, batch)
-    counts = tuple(Counted(one.values, one.runs, one.succeeded, one.failed, one.accepted) for one in shown.experiments)
-    succeeded, unsuccessful = sum(one.succeeded + one.accepted for one in counts), sum(one.failed for one in counts)
+    counts = tuple(Counted(row.values, row.runs, row.succeeded, row.failed, row.accepted) for row in shown.experiments)
+    succeeded, unsuccessful = sum(row.succeeded + row.accepted for row in counts), sum(row.failed for row in counts)
     missing = max(0, shown.row.runs - succeeded - unsuccessful)
     return Summary(
         batch=batch,
@@ -175,7 +179,7 @@ def of_recorded(
         detached=detached,
         counts=counts,
         outcomes=_outcomes(store.select(_Accepted, ACCEPTED, b=batch)),
-        failures=tuple(_failure(store, one) for one in shown.failures[:SHOWN_REASONS]),
+        failures=tuple(_failure(store, row) for row in shown.failures[:SHOWN_REASONS]),
         target=shown.sessions[-1].target if shown.sessions else None,
         left_out=0 if unfinished is None else max(0, missing - unfinished),
         notes=tuple(dict.fromkeys(notes)),
@@ -195,3 +199,27 @@ LAST = "SELECT status, log_tail FROM executions WHERE run = $r ORDER BY lamport 
 def _failure(store: Store, failed: Failed) -> Failure:
     [last] = store.select(Last, LAST, r=failed.run)
     return Failure(failed.runs, last.status, failed.reason, failed.run, failed.values, failed.number, last.log_tail or None)
+
+
+OF_UNKNOWN_FILES = """
+SELECT count(DISTINCT e.session) FROM effective f JOIN executions e USING (execution)
+WHERE f.batch = $batch AND e.session NOT IN (
+    SELECT s.session FROM observations o JOIN executions s USING (execution)
+    WHERE o.method = 'strace' AND NOT contains(coalesce(o.reason, ''), $unobserved)
+)
+"""
+
+
+def unobserved_services(plan: Plan, store: Store) -> tuple[str, ...]:
+    """Return a note if runs of the plan are reused that shared services whose files are not known; else nothing.
+
+    If they were observed, their files belong to the sets of files of the observed runs, and a change of one of them is noticed.
+    """
+    names = [service.name for service in plan.batch.spec.around.services if service.shared]
+    if not names or not any(store.values(int, OF_UNKNOWN_FILES, batch=plan.batch.id, unobserved=UNOBSERVED)):
+        return ()
+    named = few([repr(name) for name in names], 3)
+    return (
+        f"runs are reused that shared {named}, of which it was not observed what files it reads: "
+        "a change of a file that only this service reads is not noticed",
+    )

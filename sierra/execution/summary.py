@@ -85,7 +85,7 @@ class Summary:
 
         names = ("runs", "succeeded", "accepted", "failed")
         axes = list(self.counts[0].values) if self.counts else []
-        rows = ([*one.values.values(), one.runs, one.succeeded, one.accepted, one.failed] for one in self.counts)
+        rows = ([*row.values.values(), row.runs, row.succeeded, row.accepted, row.failed] for row in self.counts)
         counts = (
             f"{self.runs} runs: {self.executed} executed, {self.reused} reused, {self.failed} failed, {self.missing} missing"
         )

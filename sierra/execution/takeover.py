@@ -7,9 +7,9 @@ import time
 
 from sierra.errors import Busy, Missing, NotFound
 from sierra.execution import sessions, sum_up
-from sierra.execution.attach import Attached, attach
 from sierra.execution.cluster_status import ClusterSession, counted, named, submitted
-from sierra.execution.observer import Observer, Relay, Tally
+from sierra.execution.follow import Attached, attach
+from sierra.execution.observer import Observer, ProgressCounter
 from sierra.execution.sessions import Session
 from sierra.execution.summary import Summary
 from sierra.runners import schedulers
@@ -60,22 +60,22 @@ def follow(store: Store, prefix: str, observer: Observer) -> Summary:
             observer.notice(
                 f"session {row.session} belongs to a replay that has ended: its runs are recorded, but not compared"
             )
-        attached.append(attach(store, session, _tally(store, row, observer)))
+        attached.append(attach(store, session, _counter(store, row, observer)))
         left += [row.session] if attached[-1].left else []
     if not attached:
         raise Busy("; ".join(busy))
-    parts = [one.unfinished for one in attached]
-    found = sum_up.of_recorded(
+    parts = [followed.unfinished for followed in attached]
+    summary = sum_up.of_recorded(
         store,
         rows[0].batch,
-        executed=sum(one.executed for one in attached),
-        failed=sum(one.failed for one in attached),
+        executed=sum(followed.executed for followed in attached),
+        failed=sum(followed.failed for followed in attached),
         interrupted=attached[-1].interrupted,
         detached=tuple(left),
         unfinished=None if None in parts else sum(part or 0 for part in parts),
-        notes=(*busy, *(note for one in attached for note in one.notes)),
+        notes=(*busy, *(note for followed in attached for note in followed.notes)),
     )
-    return replace(found, sessions=tuple(row.session for row in rows))
+    return replace(summary, sessions=tuple(row.session for row in rows))
 
 
 def cancel(store: Store, prefix: str, observer: Observer) -> list[Cancelled]:
@@ -105,10 +105,10 @@ def _busy(store: Store, row: ClusterSession) -> str:
     return f"session {row.session} is followed by {sessions.holder(store.paths.session(row.session))}"
 
 
-def _tally(store: Store, row: ClusterSession, observer: Observer) -> Tally:
-    """Return the tally of one session; runs that are recorded count as reused."""
+def _counter(store: Store, row: ClusterSession, observer: Observer) -> ProgressCounter:
+    """Return the counter of one session; runs that are recorded count as reused."""
     before, failed = counted(store, [row.session])[row.session]
-    return Tally(observer, row.runs, before, failed)
+    return ProgressCounter(observer, row.runs, before, failed)
 
 
 def _cancel(store: Store, row: ClusterSession, observer: Observer) -> Cancelled:
@@ -118,7 +118,7 @@ def _cancel(store: Store, row: ClusterSession, observer: Observer) -> Cancelled:
     if session is None and paths.submission.exists():
         session, ending = _request_end(store, paths)
     if session is not None:
-        attach(store, session, Tally(Relay(observer, leave=False), row.runs), detach=True)
+        attach(store, session, ProgressCounter(observer, row.runs, leave=False), detach=True)
     done, failed = counted(store, [row.session])[row.session]
     return Cancelled(row.session, row.batch, done, failed, row.runs - done, ending)
 
@@ -130,8 +130,8 @@ def _request_end(store: Store, paths: SessionPaths) -> tuple[Session | None, str
     """
     holder = sessions.holder(paths)
     with contextlib.suppress(FileNotFoundError, Missing):
-        made = Submission.load(paths)
-        schedulers.find(made.scheduler)(made.cluster).cancel(submission_record.name_of(paths))
+        submission = Submission.load(paths)
+        schedulers.find(submission.scheduler)(submission.cluster).cancel(submission_record.name_of(paths))
     until = time.monotonic() + PATIENCE_S
     while paths.submission.exists():
         if (session := Session.adopted(store.paths, paths)) is not None:

@@ -29,20 +29,20 @@ def check(project: LoadedProject, query: Query) -> None:
     config, name = project.config, project.config.target
     chosen = [kind for kind in GROUPED if kind in config.variables and (getattr(query, kind) or getattr(config, kind))]
     lacking = [kind for kind in chosen if not config.changes_with(kind)] + [
-        one.name
-        for one in query.criteria
-        if one.name in config.variables
-        and not config.changes_with(one.name)
-        and not (isinstance(one.scale, Computed) and one.scale.has_changes)
+        criterion.name
+        for criterion in query.criteria
+        if criterion.name in config.variables
+        and not config.changes_with(criterion.name)
+        and not (isinstance(criterion.scale, Computed) and criterion.scale.has_changes)
     ]
     own = platforms.find(config.platform, config).criteria() if lacking else ()
-    if others := [one for one in lacking if one not in own]:
+    if others := [name for name in lacking if name not in own]:
         raise QueryError(_lacking(project, "variable", others[0]))
     for kind, group in _groups(project, query):
         tables = project.declared.controllers if kind == "controller" else project.declared.scenarios
-        for one in (part for found in group_names.resolve(group, tables) for part in found.declared):
-            if tables[one].targets and "changes" not in tables[one].model_fields_set and name not in tables[one].targets:
-                raise QueryError(_lacking(project, kind, one))
+        for part in (part for member in group_names.resolve(group, tables) for part in member.declared):
+            if tables[part].targets and "changes" not in tables[part].model_fields_set and name not in tables[part].targets:
+                raise QueryError(_lacking(project, kind, part))
 
 
 def _groups(project: LoadedProject, query: Query) -> Iterator[tuple[str, str]]:

@@ -20,10 +20,10 @@ from sierra.design.expand import Expansion
 from sierra.errors import Busy, Missing, SierraError, UsageError
 from sierra.execution import commands, session_records, show_record
 from sierra.execution.execute import check_packages
-from sierra.execution.observer import Observer, Progress, Relay, Tally
+from sierra.execution.observer import Observer, Progress, ProgressCounter
 from sierra.execution.plan import Plan, context, versioned
 from sierra.execution.plan_notes import out_of_reach
-from sierra.execution.run_jobs import Service, Setup
+from sierra.execution.run_jobs import JobService, Setup
 from sierra.execution.sessions import Session, locked
 from sierra.execution.shown_records import ShownExecution
 from sierra.execution.unread_files import UnreadFiles, of_run, printed, read_small
@@ -142,11 +142,11 @@ def attempt(plan: Plan, run: Run, files: Files, project: StorePaths, observer: O
         raise UsageError("sierra try executes a run on this machine, and this one takes robots; use sierra run --runs 1")
     check_packages(plan)
     plan = versioned(_alone(plan, run))
-    with _place(project) as place:
-        store = Store.create(place.store)
+    with _place(project) as paths:
+        store = Store.create(paths.store)
         session = Session(store.paths, logged=False)
         output = _Output(session.paths.runs, observer, show)
-        tally = Tally(output, 1)
+        counter = ProgressCounter(output, 1)
         try:
             session.take_number()
             session_records.keep_for_trial(plan, store, session)
@@ -154,39 +154,39 @@ def attempt(plan: Plan, run: Run, files: Files, project: StorePaths, observer: O
             if plan.checkout is not None:
                 plan.checkout.make(root := session.paths.source)
             setup = Setup(plan.project, plan.batch.spec, plan.engine, plan.image, plan.limits, root, plan.environment)
-            service = Service(setup, store, session, stays=False, images=project)
-            followed = service.execute(
+            service = JobService(setup, store, session, stays=False, images=project)
+            followed = service.execute_jobs(
                 runners.find("local", plan.project.config.runners)(1),
                 context(plan, session.id, session.number),
                 [(run, files)],
                 1,
                 plan.programs,
-                tally,
+                counter,
                 doubt=lambda: service.doubt(plan.seen),
-                kept=place.new,
+                kept=paths.new,
             )
         finally:
             session.close()
-        folder = _keep(place, run)
+        folder = _keep(paths, run)
         output.rest(folder)
         notes = (*plan.notes, *service.isolation.notes, *followed.notes)
         values = plan.batch.experiments[0].values
-        if run.id not in tally.statuses:
+        if run.id not in counter.statuses:
             return Trial(values, run.id, run.seed, Status.INTERRUPTED, "was interrupted", folder=folder, notes=notes)
-        found = _read(store, commands.execution_id(session.id, run.id), values, run.seed, folder)
-        seeded = found.status is Status.OK and _is_seeded(plan, run)
-        if seeded and (same := _same_as_last(place, plan, found)):
+        trial = _read(store, commands.execution_id(session.id, run.id), values, run.seed, folder)
+        seeded = trial.status is Status.OK and _is_seeded(plan, run)
+        if seeded and (same := _same_as_last(paths, plan, trial)):
             notes = (*notes, same)
-    if found.status is not Status.OK:
+    if trial.status is not Status.OK:
         notes += tuple(out_of_reach(plan, None))
-    if found.status not in (Status.OK, Status.MISMATCH):
-        return replace(found, notes=tuple(dict.fromkeys(notes)))
-    tables = {one.table for one in found.files if one.table}
+    if trial.status not in (Status.OK, Status.MISMATCH):
+        return replace(trial, notes=tuple(dict.fromkeys(notes)))
+    tables = {file.table for file in trial.files if file.table}
     written = folder and folder / RUN_OUTPUT
-    unread = of_run((one.path for one in found.files if one.table is None), plan.outputs, tables, written)
+    unread = of_run((file.path for file in trial.files if file.table is None), plan.outputs, tables, written)
     if not tables and not any(files.keys for files in unread) and folder is not None:
         unread += printed(folder / RUN_STDOUT, plan.outputs)
-    return replace(found, notes=tuple(dict.fromkeys(notes)), unread=unread)
+    return replace(trial, notes=tuple(dict.fromkeys(notes)), unread=unread)
 
 
 def _is_seeded(plan: Plan, run: Run) -> bool:
@@ -196,16 +196,16 @@ def _is_seeded(plan: Plan, run: Run) -> bool:
     return isinstance(plan.inputs, Expansion) and plan.inputs.seeded(run, run.seed + 1)[0].digests != run.digests
 
 
-def _same_as_last(place: TrialPaths, plan: Plan, found: Trial) -> str | None:
+def _same_as_last(paths: TrialPaths, plan: Plan, trial: Trial) -> str | None:
     """Return a note if the last run that was tried had another seed and the same tables; remember this run for the next one."""
-    tables = {one.path: one.sha256 for one in found.files if one.table and one.rows}
-    this = {"spec": plan.batch.spec_id, "values": dict(found.values), "tables": tables}
+    tables = {file.path: file.sha256 for file in trial.files if file.table and file.rows}
+    this = {"spec": plan.batch.spec_id, "values": dict(trial.values), "tables": tables}
     last: dict[str, object] = {}
     with contextlib.suppress(OSError, ValueError, TypeError):
-        last = dict(json.loads(place.last.read_bytes()))
-    write_whole(place.last, json.dumps({**this, "seed": found.seed}).encode())
-    seed = last.pop("seed", found.seed)
-    if not tables or seed == found.seed or last != json.loads(json.dumps(this)):
+        last = dict(json.loads(paths.last.read_bytes()))
+    write_whole(paths.last, json.dumps({**this, "seed": trial.seed}).encode())
+    seed = last.pop("seed", trial.seed)
+    if not tables or seed == trial.seed or last != json.loads(json.dumps(this)):
         return None
     return (
         f"{SAME_TABLES}{seed}, which was tried before: does the program use its seed? (equal runs are not independent samples)"
@@ -264,13 +264,13 @@ def _clear(*folders: Path) -> None:
             folder.unlink()
 
 
-def _keep(place: TrialPaths, run: Run) -> Path | None:
+def _keep(paths: TrialPaths, run: Run) -> Path | None:
     """Move the run's folder to where users find it."""
-    made = place.new / short(run.id)
-    if not made.is_dir():
+    folder = paths.new / short(run.id)
+    if not folder.is_dir():
         return None
-    made.rename(place.run)
-    return place.run
+    folder.rename(paths.run)
+    return paths.run
 
 
 class _Output(Observer):
@@ -278,13 +278,13 @@ class _Output(Observer):
 
     def __init__(self, runs: Path, observer: Observer, show: Show) -> None:
         self._runs = runs
-        self._relay = Relay(observer, leave=False)
+        self._observer = observer
         self._show = show
         self._shown: dict[int, int] = {}
         """The number of bytes that were shown, by the inode of the log, because the folder is moved."""
 
     def notice(self, text: str) -> None:
-        self._relay.notice(text)
+        self._observer.notice(text)
 
     def progress(self, progress: Progress) -> None:
         folders = [path for pattern in ("[0-9]*", "slot-*/runs/[0-9]*") for path in self._runs.glob(pattern)]
@@ -302,12 +302,12 @@ class _Output(Observer):
             with contextlib.suppress(OSError):
                 descriptor = os.open(folder / name, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
                 with os.fdopen(descriptor, "rb") as file:
-                    found = os.fstat(descriptor)
-                    if stat.S_ISREG(found.st_mode):
-                        file.seek(self._shown.get(found.st_ino, 0))
+                    status = os.fstat(descriptor)
+                    if stat.S_ISREG(status.st_mode):
+                        file.seek(self._shown.get(status.st_ino, 0))
                         while piece := file.read(CHUNK):
                             self._show(name, piece)
-                        self._shown[found.st_ino] = file.tell()
+                        self._shown[status.st_ino] = file.tell()
 
 
 WRITTEN = "SELECT DISTINCT path FROM files_written WHERE execution = $e AND use = 'written' ORDER BY path"
@@ -339,27 +339,28 @@ def _read(store: Store, execution: str, values: Mapping[str, Value], seed: int, 
         folder=folder,
         files=tuple(
             sorted(
-                (_file(store, one, folder) for one in shown.artifacts if one.kind != "log"), key=lambda one: one.table is None
+                (_file(store, file, folder) for file in shown.artifacts if file.kind != "log"),
+                key=lambda one: one.table is None,
             )
         ),
-        logs={name: one.size for name in LOGS for one in shown.artifacts if (one.kind, one.path) == ("log", name)},
+        logs={name: file.size for name in LOGS for file in shown.artifacts if (file.kind, file.path) == ("log", name)},
         elsewhere=tuple(store.values(str, WRITTEN, e=execution)),
         used=used,
     )
 
 
-def _file(store: Store, one: ArtifactRow, folder: Path | None) -> TriedFile:
-    if one.kind != "table":
-        return TriedFile(one.name, one.size, None, None, {}, one.sha256)
-    columns = TableLayout.load(one.table_layout).columns
-    flags = _flags(store, one, columns) if one.rows == 1 and one.output else {}
-    time = _time(store, one, columns) if (one.rows or 0) > 1 and one.output else ""
-    content = read_small(folder and folder / RUN_OUTPUT / one.path) if automatic_format(one.path) == "csv" else None
+def _file(store: Store, artifact: ArtifactRow, folder: Path | None) -> TriedFile:
+    if artifact.kind != "table":
+        return TriedFile(artifact.name, artifact.size, None, None, {}, artifact.sha256)
+    columns = TableLayout.load(artifact.table_layout).columns
+    flags = _flags(store, artifact, columns) if artifact.rows == 1 and artifact.output else {}
+    time = _time(store, artifact, columns) if (artifact.rows or 0) > 1 and artifact.output else ""
+    content = read_small(folder and folder / RUN_OUTPUT / artifact.path) if automatic_format(artifact.path) == "csv" else None
     keys = text_headers.better_keys_of(content) if content else {}
-    return TriedFile(one.name, one.size, one.output, one.rows, columns, one.sha256, flags, time, keys)
+    return TriedFile(artifact.name, artifact.size, artifact.output, artifact.rows, columns, artifact.sha256, flags, time, keys)
 
 
-def _time(store: Store, one: ArtifactRow, columns: Columns) -> str:
+def _time(store: Store, artifact: ArtifactRow, columns: Columns) -> str:
     """Return the time axis of a table by the rule of figures, or else the first column that is called a time and is one."""
     numbers = [name for name, kind in columns.items() if kind == "number"]
     first = next(iter(columns), "")
@@ -369,7 +370,9 @@ def _time(store: Store, one: ArtifactRow, columns: Columns) -> str:
     if not named:
         return ""
     with store.snapshot() as snapshot:
-        rows = snapshot.rows(f"FROM {identifier(str(one.output))} WHERE execution = $e LIMIT {LOOKED_AT}", e=one.execution)
+        rows = snapshot.rows(
+            f"FROM {identifier(str(artifact.output))} WHERE execution = $e LIMIT {LOOKED_AT}", e=artifact.execution
+        )
     for name in named:
         times = [row.get(name) for row in rows]
         if _goes_ahead([time for time in times if isinstance(time, int | float)], len(times)):
@@ -382,9 +385,9 @@ def _goes_ahead(times: Sequence[float], rows: int) -> bool:
     return len(times) == rows and times[0] < times[-1] and all(before <= after for before, after in pairwise(times))
 
 
-def _flags(store: Store, one: ArtifactRow, columns: Columns) -> dict[str, int]:
+def _flags(store: Store, artifact: ArtifactRow, columns: Columns) -> dict[str, int]:
     """Return the columns of numbers that are 0 or 1 in the only row of a table."""
     with store.snapshot() as snapshot:
-        rows = snapshot.rows(f"FROM {identifier(str(one.output))} WHERE execution = $e", e=one.execution)
+        rows = snapshot.rows(f"FROM {identifier(str(artifact.output))} WHERE execution = $e", e=artifact.execution)
     values = rows[0] if len(rows) == 1 else {}
     return {name: int(values[name] == 1) for name, kind in columns.items() if kind == "number" and values.get(name) in (0, 1)}

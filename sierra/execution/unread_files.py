@@ -85,15 +85,18 @@ def unread_files(
     """Return why files became no table; `outputs` are declared, `tables` exist, and there are so many `runs`."""
     known = {name.lower() for name in tables}
     taken = {*known, *(name.lower() for name in outputs)}
-    found: list[UnreadFiles] = []
-    for one in kinds:
-        if any(output.rotated and output.matches(one.path) for output in outputs.values()):
+    unread: list[UnreadFiles] = []
+    for alike in kinds:
+        if any(output.rotated and output.matches(alike.path) for output in outputs.values()):
             continue  # an older part of a table
         in_archive = [
-            made for member in _members(one, outputs) for made in _all(member, outputs, known, taken, runs) if made.keys
+            proposal
+            for member in _members(alike, outputs)
+            for proposal in _all(member, outputs, known, taken, runs)
+            if proposal.keys
         ]
-        found += in_archive or _all(one, outputs, known, taken, runs)
-    return tuple(found)
+        unread += in_archive or _all(alike, outputs, known, taken, runs)
+    return tuple(unread)
 
 
 def _all(
@@ -115,17 +118,17 @@ def _is_named(file: str, path: str) -> bool:
         return False
 
 
-def _members(one: Alike, outputs: Mapping[str, Output]) -> Iterator[Alike]:
+def _members(kind: Alike, outputs: Mapping[str, Output]) -> Iterator[Alike]:
     """Yield the files in an undeclared archive, those whose names differ only in numbers together; none if it is damaged."""
-    declared = any(output.matches(one.path) for output in outputs.values())
-    content = None if declared or not archive_of(f"{one.path}/*") else one.content()
+    declared = any(output.matches(kind.path) for output in outputs.values())
+    content = None if declared or not archive_of(f"{kind.path}/*") else kind.content()
     if content is None:
         return
     from sierra.ingest.archives import OF_MACOS, members
 
     alike: dict[str, dict[str, bytes | None]] = {}
     with contextlib.suppress(UnreadableError):
-        for member in members(io.BytesIO(content), one.path, MOST_EXPANDED):
+        for member in members(io.BytesIO(content), kind.path, MOST_EXPANDED):
             if OF_MACOS.search(member.name):
                 continue
             some = alike.setdefault(NUMBER.sub("0", member.name), {})
@@ -133,11 +136,11 @@ def _members(one: Alike, outputs: Mapping[str, Output]) -> Iterator[Alike]:
             if len(some) == 1 and member.size <= most_searched(member.name):
                 with contextlib.suppress(UnreadableError):  # a link
                     some[member.name] = b"".join(member.content)
-        before = len(NUMBER.findall(one.path))
+        before = len(NUMBER.findall(kind.path))
         for some in alike.values():
-            first, varying = next(iter(some)), {*one.varying, *(before + place for place in _varying(some))}
-            counts = one.files * len(some), one.most * len(some), one.runs
-            yield Alike(f"{one.path}/{first}", *counts, varying, partial(some.get, first), in_archive=True)
+            first, varying = next(iter(some)), {*kind.varying, *(before + position for position in _varying(some))}
+            counts = kind.files * len(some), kind.most * len(some), kind.runs
+            yield Alike(f"{kind.path}/{first}", *counts, varying, partial(some.get, first), in_archive=True)
 
 
 def of_run(
@@ -191,43 +194,43 @@ def _varying(paths: Iterable[str]) -> set[int]:
     return {place for place, numbers in enumerate(columns, 1) if len(set(numbers)) > 1}
 
 
-def _unread(one: Alike, outputs: Mapping[str, Output], tables: Collection[str], name: str, runs: int) -> UnreadFiles:
-    declared = next((name for name, output in outputs.items() if output.matches(one.path)), None)
-    if declared is None and (newest := _newest(one, outputs, tables)):
+def _unread(alike: Alike, outputs: Mapping[str, Output], tables: Collection[str], name: str, runs: int) -> UnreadFiles:
+    declared = next((name for name, output in outputs.items() if output.matches(alike.path)), None)
+    if declared is None and (newest := _newest(alike, outputs, tables)):
         message = f"older than {newest!r}, whose table has only the newest rows"
-        return UnreadFiles(one.path, one.files, f'{message}; set file = "{newest}{ROTATION}"', True)
+        return UnreadFiles(alike.path, alike.files, f'{message}; set file = "{newest}{ROTATION}"', True)
     if declared is not None:
-        return UnreadFiles(one.path, one.files, *_declared(declared, outputs[declared], one.content))
-    file = pattern(one)
-    place = f"[outputs.{name}] file = {json.dumps(file, ensure_ascii=False)}"
-    keys: Keys = {"file": file} | ({} if one.runs == runs else {"required": False})
-    if read := _text_keys(one):
+        return UnreadFiles(alike.path, alike.files, *_declared(declared, outputs[declared], alike.content))
+    file = pattern(alike)
+    table = f"[outputs.{name}] file = {json.dumps(file, ensure_ascii=False)}"
+    keys: Keys = {"file": file} | ({} if alike.runs == runs else {"required": False})
+    if read := _text_keys(alike):
         only_named = read.keys() <= {"format", "delimiter"}
         what = "this ending is read only if its format is named" if only_named else "it is no plain CSV"
-        why = f"{what}; declare {place}, {in_words(read)}"
-        return UnreadFiles(one.path, one.files, why, False, name, {**keys, **read})
-    if automatic_format(one.path):
-        noted = not one.in_archive
-        return UnreadFiles(one.path, one.files, f"{_not_automatic(one, tables)}; declare {place}", noted, name, keys)
-    ending = _ending(one.path)
+        why = f"{what}; declare {table}, {in_words(read)}"
+        return UnreadFiles(alike.path, alike.files, why, False, name, {**keys, **read})
+    if automatic_format(alike.path):
+        noted = not alike.in_archive
+        return UnreadFiles(alike.path, alike.files, f"{_not_automatic(alike, tables)}; declare {table}", noted, name, keys)
+    ending = _ending(alike.path)
     if ending in COMPRESSED:
-        inner = PurePosixPath(one.path).stem
+        inner = PurePosixPath(alike.path).stem
         if plain := automatic_format(inner):
-            why = f'compressed; to make a table of it, declare {place}, format = "{plain}"'
-            return UnreadFiles(one.path, one.files, why, False, name, {**keys, "format": plain})
+            why = f'compressed; to make a table of it, declare {table}, format = "{plain}"'
+            return UnreadFiles(alike.path, alike.files, why, False, name, {**keys, "format": plain})
         also = _named(_ending(inner))
-        why = f"compressed; to make a table of it, declare {place}, {also}" if also else "no reader takes it"
+        why = f"compressed; to make a table of it, declare {table}, {also}" if also else "no reader takes it"
     elif ending in READERS.added():
-        why = f"the installed reader {ending!r} takes declared files only; declare {place}"
-    elif ending in SEARCHED and (rows := _rows_of(one, ending)) is not None:
+        why = f"the installed reader {ending!r} takes declared files only; declare {table}"
+    elif ending in SEARCHED and (rows := _rows_of(alike, ending)) is not None:
         read = {"format": ending, **rows}
-        why = f"this ending is read only if its format is named; declare {place}, {in_words(read)}"
-        return UnreadFiles(one.path, one.files, why, False, name, {**keys, **read})
+        why = f"this ending is read only if its format is named; declare {table}, {in_words(read)}"
+        return UnreadFiles(alike.path, alike.files, why, False, name, {**keys, **read})
     elif named := _named(ending):
-        why = f"this ending is read only if its format is named; declare {place}, {named}"
+        why = f"this ending is read only if its format is named; declare {table}, {named}"
     else:
         why = f"no reader takes {'files without an ending' if not ending else f'.{ending} files'}"
-    return UnreadFiles(one.path, one.files, why, False)
+    return UnreadFiles(alike.path, alike.files, why, False)
 
 
 def _newest(one: Alike, outputs: Mapping[str, Output], tables: Collection[str]) -> str | None:
@@ -253,18 +256,18 @@ def _text_keys(one: Alike) -> Keys:
     return keys if is_csv else {"format": "csv", **keys}
 
 
-def _proposed(one: Alike, outputs: Mapping[str, Output], taken: Collection[str], runs: int) -> Sequence[UnreadFiles]:
+def _proposed(alike: Alike, outputs: Mapping[str, Output], taken: Collection[str], runs: int) -> Sequence[UnreadFiles]:
     """Return the tables that a file makes whose format proposes them; nothing for other, declared, and unreadable files."""
-    if any(output.matches(one.path) for output in outputs.values()):
+    if any(output.matches(alike.path) for output in outputs.values()):
         return ()
-    made: list[UnreadFiles] = []
-    lists = xml_lists.lists_of(content) if _ending(one.path) == "xml" and (content := one.content()) else ()
+    tables: list[UnreadFiles] = []
+    lists = xml_lists.lists_of(content) if _ending(alike.path) == "xml" and (content := alike.content()) else ()
     proposals = [
         Proposal(rows, rows.rpartition("/")[2], {"format": "xml", "rows": rows}, {}) for rows in lists if len(lists) > 1
     ]
-    for proposal in proposals or _of_ending(_ending(one.path)).proposals(one.content, one.path):
-        made.append(_table(one, proposal, {*taken, *(table.name.lower() for table in made)}, runs))
-    return made
+    for proposal in proposals or _of_ending(_ending(alike.path)).proposals(alike.content, alike.path):
+        tables.append(_table(alike, proposal, {*taken, *(table.name.lower() for table in tables)}, runs))
+    return tables
 
 
 def _table(one: Alike, proposal: Proposal, taken: Collection[str], runs: int) -> UnreadFiles:
@@ -327,18 +330,18 @@ def _ending(path: str) -> str:
     return PurePosixPath(path).suffix.lower().removeprefix(".")
 
 
-def pattern(one: Alike) -> str:
+def pattern(alike: Alike) -> str:
     """Return the value of `file` for these files: a path, or a pattern if their names differ."""
-    parts = re.split("([0-9]+)", one.path)
-    stars = [f"{{tick{number}}}" for number in range(1, len(one.varying) + 1)]
-    if len(one.varying) == 1:
-        before = "".join(parts[: 2 * min(one.varying) - 1])
-        head = (one.content() or b"").partition(b"\n")[0].lower()
+    parts = re.split("([0-9]+)", alike.path)
+    stars = [f"{{tick{number}}}" for number in range(1, len(alike.varying) + 1)]
+    if len(alike.varying) == 1:
+        before = "".join(parts[: 2 * min(alike.varying) - 1])
+        head = (alike.content() or b"").partition(b"\n")[0].lower()
         stars = ["{robot}" if OF_ROBOT.search(before) else "{number}" if b"tick" in head else "{tick}"]
-    if one.most < 2:  # each run has one such file, with another number in its name
-        stars = ["*"] * len(one.varying)
-    for place, star in zip(sorted(one.varying), stars, strict=True):
-        parts[2 * place - 1] = star
+    if alike.most < 2:  # each run has one such file, with another number in its name
+        stars = ["*"] * len(alike.varying)
+    for position, star in zip(sorted(alike.varying), stars, strict=True):
+        parts[2 * position - 1] = star
     return "".join(parts)
 
 

@@ -70,9 +70,11 @@ def write(plan: Plan, folder: Path, selection: Selection | None = None) -> Writt
     """Write the inputs and commands of a plan's runs into a new folder. Raises UsageError, and Missing if the disk is full."""
     folder = Path.cwd() / folder
     check_target(folder)
-    ordinals = frozenset(one.ordinal for one in plan.batch.experiments) if selection is None else selection.experiments
-    with disk_errors(folder), scratch(folder.parent, UNFINISHED) as place:
-        unfinished = place / folder.name
+    ordinals = (
+        frozenset(experiment.ordinal for experiment in plan.batch.experiments) if selection is None else selection.experiments
+    )
+    with disk_errors(folder), scratch(folder.parent, UNFINISHED) as scratch_folder:
+        unfinished = scratch_folder / folder.name
         unfinished.mkdir()
         count = _write_all(plan, unfinished, ordinals)
         os.sync()
@@ -83,17 +85,18 @@ def write(plan: Plan, folder: Path, selection: Selection | None = None) -> Writt
 def _write_all(plan: Plan, folder: Path, ordinals: frozenset[int]) -> int:
     """Write everything; return the number of runs."""
     builder = _builder(plan)
-    widths = len(str(len(plan.batch.experiments) - 1)), len(str(max(len(one.runs) for one in plan.batch.experiments) - 1))
+    experiments = plan.batch.experiments
+    widths = len(str(len(experiments) - 1)), len(str(max(len(experiment.runs) for experiment in experiments) - 1))
     axes = [axis.name for axis in plan.batch.axes]
     count = 0
     with (folder / MANIFEST).open("w", encoding="utf-8", newline="") as file:
         manifest = csv.writer(file, lineterminator="\n")
         manifest.writerow([*COLUMNS, *(f"{name}_value" if name in COLUMNS else name for name in axes)])
         for run, files in plan.inputs.files(plan.batch, lambda run: run.experiment in ordinals):
-            place = f"{RUNS}/{run.experiment:0{widths[0]}}/{run.number:0{widths[1]}}"
-            _write_run(inside(folder, place), builder.job(run, files), plan)
+            run_folder = f"{RUNS}/{run.experiment:0{widths[0]}}/{run.number:0{widths[1]}}"
+            _write_run(inside(folder, run_folder), builder.job(run, files), plan)
             values = plan.batch.experiments[run.experiment].values
-            manifest.writerow([run.id, run.experiment, run.number, run.seed, place, *(values[name] for name in axes)])
+            manifest.writerow([run.id, run.experiment, run.number, run.seed, run_folder, *(values[name] for name in axes)])
             count += 1
     request = plan.request.model_dump(mode="json", exclude_defaults=True)
     (folder / REQUEST).write_text(json.dumps({KEY: request, "batch": plan.batch.id}, indent=2) + "\n", "utf-8")
@@ -112,8 +115,8 @@ def _write_run(folder: Path, job: Job, plan: Plan) -> None:
         _copy(plan.project.root / row.name, inside(folder, row.name), row)
     if not job.members:
         _write_command(folder, job.argv, job.environment, plan)
-    for one in job.members:
-        _write_member(folder / f"robot{one.place}", one, plan)
+    for member in job.members:
+        _write_member(folder / f"robot{member.place}", member, plan)
 
 
 def _write_member(folder: Path, one: Member, plan: Plan) -> None:

@@ -12,7 +12,7 @@ from datetime import datetime
 from typing import NamedTuple
 
 from sierra.execution.observation.stale_sessions import OBSERVED
-from sierra.execution.reasons import FAILED, PROGRAMS, REUSED, RULES, WORTH, ChangeReason, Reason
+from sierra.execution.reasons import BY_USEFULNESS, FAILED, PROGRAMS, REUSED, RULES, ChangeReason, Reason
 from sierra.explain.diff.environment import other_programs, other_rules
 from sierra.explain.diff.model import Difference
 from sierra.model import Purpose
@@ -113,7 +113,7 @@ class Executions(NamedTuple):
     batch: str
     purpose: str
     worth: int | None
-    """Place of that earlier execution in `WORTH`; None without one."""
+    """Place of that earlier execution in `BY_USEFULNESS`; None without one."""
     beside: bool
     """True if another session executed the runs at the same time."""
     doubted: bool | None
@@ -332,7 +332,7 @@ def _why(snapshot: Snapshot, row: Executions, replay: Replay | None) -> Reason:
         return Reason(ChangeReason.REPLAY, of)
     if row.worth is None:
         return Reason(ChangeReason.CONCURRENT if row.beside else ChangeReason.NEW)
-    match WORTH[row.worth]:
+    match BY_USEFULNESS[row.worth]:
         case ChangeReason.FAILED:
             return Reason(ChangeReason.FINDING if row.doubted else ChangeReason.FAILED, row.reason or "")
         case ChangeReason.RULES:

@@ -31,18 +31,18 @@ from sierra.util.text import counted, verb
 ANY_TABLE = "SELECT 1 FROM all_artifacts WHERE kind = 'table' LIMIT 1"
 
 
-def find_odd(
-    store: Store, session: SessionPaths, context: Context, lost: float = math.inf, *, settle: bool = False
+def find_inconsistent(
+    store: Store, session: SessionPaths, context: Context, lost: float = math.inf, *, final: bool = False
 ) -> set[str]:
     """Find executions that may be wrong although they have ended well, record findings, and return their runs.
 
     Their tables differ from their siblings', or they shared a file with other runs: see `shared_use.find`, also for `lost` and
-    `settle`.
+    `final`.
     """
-    return shared_use.find(store, session, context, lost, settle=settle) | _find_odd_tables(store, session, context)
+    return shared_use.find(store, session, context, lost, final=final) | _find_inconsistent_tables(store, session, context)
 
 
-def _find_odd_tables(store: Store, session: SessionPaths, context: Context) -> set[str]:
+def _find_inconsistent_tables(store: Store, session: SessionPaths, context: Context) -> set[str]:
     """Find executions whose tables differ from their siblings', record findings, and return their runs.
 
     Siblings are the successful executions of one experiment with the same programs, whenever they were recorded. The majority

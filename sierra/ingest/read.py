@@ -2,13 +2,13 @@
 
 The files of one output that have the same columns form a *part*, which is one Parquet file. Columns may differ between
 experiments. If they may differ between two runs of an experiment is decided later (see
-`sierra.ingest.consistency.find_odd`). A part without faults is read by one statement. Otherwise, the faulty files are found
-by halving, and each fault is reported with its line. A file is at fault if a line has too few or too many fields, if its last
-line is cut short, or if it cannot be read at all.
+`sierra.ingest.consistency.find_inconsistent`). A part without faults is read by one statement. Otherwise, the faulty files are
+found by halving, and each fault is reported with its line. A file is at fault if a line has too few or too many fields, if its
+last line is cut short, or if it cannot be read at all.
 
 The kind of values in a column (numbers, flags, texts) is not a fault here, because that would depend on which files are read
-together. Files with other kinds go into separate Parquet files, and `find_odd` decides. If most of a file's siblings have
-text in a column, the file's numbers are kept as text, unchanged: as numbers, 007 and 1e5 would become other texts.
+together. Files with other kinds go into separate Parquet files, and `find_inconsistent` decides. If most of a file's siblings
+have text in a column, the file's numbers are kept as text, unchanged: as numbers, 007 and 1e5 would become other texts.
 
 Whole numbers are BIGINT (DECIMAL(38,0) if they are too large), other numbers DOUBLE, `true`/`false` BOOLEAN, dates with a time
 in a CSV TIMESTAMP, with or without a time zone, and all other values VARCHAR. Columns that an earlier version recorded as texts

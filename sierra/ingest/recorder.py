@@ -254,28 +254,29 @@ class Recorder:
 
     def _record_pending(self) -> list[tuple[str, Status, str]]:
         """Write everything pending; return the run, status and reason of each execution that is not successful."""
-        failed = self._record_segment()
-        while self._pending:  # there was no space to unpack all archives together
-            failed += self._record_segment()
+        failed: list[tuple[str, Status, str]] = []
+        while True:
+            writer = self._store.writer(self._session.segment, self.context.batch)
+            for table, rows in self._other_rows.items():
+                writer.rows(table, rows)
+            writer.records(self._compared())
+            judged, rest = self._write(writer)
+            first = self._next()
+            writer.records(self._execution(judgement, position) for position, judgement in enumerate(judged, first))
+            self._position = first + len(judged)
+            judged = [self._marked(judgement) for judgement in judged]
+            self._write_parts(writer, judged)
+            self._store.publish(writer)
+            self._ruled += 1
+            for judgement in judged:
+                self._put_away(judgement.result)
+            self._pending = rest
+            self._other_rows, self._copies = {}, []
+            failed += [(one.result.run, one.status, one.reason or "") for one in judged if not one.status.is_result]
+            if not rest:
+                break  # otherwise there was no space to unpack all archives together
         self._bytes = 0
         return failed
-
-    def _record_segment(self) -> list[tuple[str, Status, str]]:
-        """Write pending executions, and remove them from those that are pending; return as `_record_pending` does."""
-        writer = self._store.writer(self._session.segment, self.context.batch)
-        for table, rows in self._other_rows.items():
-            writer.rows(table, rows)
-        writer.records(self._compared())
-        judged, rest = self._write(writer)
-        judged = [self._marked(one) for one in judged]
-        self._write_parts(writer, judged)
-        self._store.publish(writer)
-        self._ruled += 1
-        for one in judged:
-            self._put_away(one.result)
-        self._pending = rest
-        self._other_rows, self._copies = {}, []
-        return [(one.result.run, one.status, one.reason or "") for one in judged if not one.status.is_result]
 
     def _compared(self) -> Iterator[DuplicateRow]:
         """Yield the copies that are not recorded yet, each compared with the record of its execution."""
@@ -308,7 +309,7 @@ class Recorder:
     def notes(self) -> list[str]:
         """Return warnings about records that are allowed but probably not intended, one line each.
 
-        This queries the store, so call it once, after everything is recorded and `find_odd` has checked it.
+        This queries the store, so call it once, after everything is recorded and `find_inconsistent` has checked it.
         """
         remarks = TableWarnings(self._store, self.context, self._shapes)
         kept = self._assigning.kept
@@ -346,7 +347,7 @@ class Recorder:
             yield f"{message}{unlike}; see the table duplicates"
 
     def _write(self, writer: Writer) -> tuple[list[Judgement], list[Judgement]]:
-        """Write what is pending; return the final judgements, and the executions for which there was no space yet."""
+        """Write what belongs to pending executions; return their final judgements, and the executions that had no space yet."""
         tables = tabled(self._pending, writer, self._store, self.context, self._assigning, self._shapes)
         pending = self._pending[: len(self._pending) - len(tables.rest)]
         judged = [tables.judged(one) for one in pending]
@@ -355,9 +356,6 @@ class Recorder:
         objects.close()
         writer.records(artifacts)
         self._write_observations(writer, pending)
-        first = self._next()
-        writer.records(self._execution(one, place) for place, one in enumerate(judged, first))
-        self._position = first + len(judged)
         if self._ruled < 2:  # in two segments, so that one damaged segment does not make the others useless
             writer.records([IngestRulesRow(self._reading, self.context.declared)])
             writer.records([self.context.isolation] if self.context.isolation else [])

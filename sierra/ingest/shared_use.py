@@ -5,7 +5,7 @@ the same name meanwhile would have replaced its data. It is also doubtful if it 
 execution of another run has made the same. Nothing is wrong if the name is the execution's own, because it contains a process
 id, say. Therefore observed executions of two runs of an experiment are compared: if both wrote a file of
 this name, all most likely did. Those that overlapped another one in time fail, except in experiments of which no observed run
-did. If only one run was observed, the caller has another one observed, or else decides (`settle`) as if both had written it.
+did. If only one run was observed, the caller has another one observed, or else decides (`final`) as if both had written it.
 
 A port is doubtful if it was in use, or if the execution connected to it and no process of its own listened there; see the
 table `channels`. Which ports are the executions' own is seen by those that observed executions bound: those of the batch, and
@@ -247,17 +247,17 @@ class _Overlapping(NamedTuple):
     session: str
 
 
-def find(store: Store, session: SessionPaths, context: Context, lost: float = math.inf, *, settle: bool = False) -> set[str]:
+def find(store: Store, session: SessionPaths, context: Context, lost: float = math.inf, *, final: bool = False) -> set[str]:
     """Find successful executions of a batch that shared something with others, record findings, and return their runs.
 
-    `lost`: the time since which a run of the session was executing that is not recorded, in seconds since the epoch. `settle`:
+    `lost`: the time since which a run of the session was executing that is not recorded, in seconds since the epoch. `final`:
     executions of the session are taken as sharing a thing that only one observed run has used.
     """
     found: dict[str, tuple[_Overlapping, str]] = {}
     with store.snapshot() as snapshot:
         for kind in KINDS:
             shared = _shared(snapshot, context.batch, kind)
-            for decided in (True, False) if settle else (True,):
+            for decided in (True, False) if final else (True,):
                 names = [one for one in shared if one.decided is decided]
                 said = kind.reason.replace("{names}", few([one.name for one in names], NAMED))
                 reason = said.replace("{verb}", "are" if len(names) > 1 else "is") + f"; {kind.cure}"

@@ -109,7 +109,7 @@ class TableWarnings:
     def all(self) -> list[str]:
         """Return the warnings, one line each.
 
-        This queries the store, so call it once, after everything is recorded and `find_odd` has checked it.
+        This queries the store, so call it once, after everything is recorded and `find_inconsistent` has checked it.
         """
         with self._store.snapshot() as snapshot:
             snapshot.views.make(tables_of(EXECUTED))

@@ -22,9 +22,9 @@ from sierra.errors import Missing, UsageError
 from sierra.execution import commands, expected_durations, plan_from_record, recover, session_records, targets
 from sierra.execution.build.recorded import Rebuilt, rebuild
 from sierra.execution.checkout import Checkout
-from sierra.execution.observer import Observer, Relay, Tally
+from sierra.execution.observer import Observer, ProgressCounter
 from sierra.execution.on_robots import configured
-from sierra.execution.run_jobs import Service, Setup
+from sierra.execution.run_jobs import JobService, Setup
 from sierra.execution.sessions import Session
 from sierra.ingest.recording_context import Context
 from sierra.model import Status
@@ -140,7 +140,7 @@ class _Code:
 class _Executed:
     """The executions that are compared with the record."""
 
-    tally: Tally
+    counter: ProgressCounter
     executions: Mapping[str, str]
     """The execution of each run."""
     earlier: Mapping[str, Finished]
@@ -170,7 +170,7 @@ class _Replaying:
         limits = self._options.variation.limits(of.project.config)
         spec = self._options.variation.spec(of.spec)
         setup = Setup(of.project, spec, of.engine, of.image, limits, code.root, code.environment)
-        service = Service(setup, self._store, self._session, stays=of.runner.stays)
+        service = JobService(setup, self._store, self._session, stays=of.runner.stays)
         files = used_files(self._store, self._record, code.programs, code.root, code.search) if of.image is None else None
         self._say(self._deviations(code, service, files))
         executed = self._execute(code, service)
@@ -231,7 +231,7 @@ class _Replaying:
             on_robots=of.takes_robots,
         )
 
-    def _deviations(self, code: _Code, service: Service, files: UsedFiles | None) -> Iterator[str]:
+    def _deviations(self, code: _Code, service: JobService, files: UsedFiles | None) -> Iterator[str]:
         """Yield a line for each deviation from the record."""
         yield from self._record.notes
         if code.built and code.built.different:
@@ -255,7 +255,7 @@ class _Replaying:
             contents = plan_from_record.image_contents(self._store, inside.id)
             yield from unlike_image(of.spec, contents, root)
 
-    def _execute(self, code: _Code, service: Service) -> _Executed:
+    def _execute(self, code: _Code, service: JobService) -> _Executed:
         """Execute the runs that no earlier call has executed in the same way."""
         variation, session = self._options.variation, self._session
         context = self._context(code)
@@ -267,23 +267,23 @@ class _Replaying:
         if earlier:
             runs = f"{len(earlier)} of {counted(len(self._record.runs), 'run')}"
             self._say([f"{runs} executed by an earlier call here, by the same programs"])
-        tally = Tally(Relay(self._observer, leave=False), len(rest))
+        counter = ProgressCounter(self._observer, len(rest), leave=False)
         timed = self._of.runner.stays and variation.is_replay  # rendering takes longer than what was recorded
         unchanged = guard(code.root, b"", code.programs)
-        followed = rest and service.execute(
+        followed = rest and service.execute_jobs(
             self._of.runner,
             context,
             ((run, variation.files(files)) for run, files in find_record.inputs(self._record, rest, self._store)),
             len(rest),
             code.programs,
-            tally,
+            counter,
             times=expected_durations.recorded(self._store, [taken.run for taken in rest]) if timed else None,
             doubt=lambda: service.doubt(unchanged),
             kept=self._kept,
             experiments={taken.ordinal for taken in rest},
         )
         interrupted = bool(followed and followed.interrupted) or session.paths.cancelled.exists()
-        return _Executed(tally, executions | {run: finish.execution for run, finish in earlier.items()}, earlier, interrupted)
+        return _Executed(counter, executions | {run: finish.execution for run, finish in earlier.items()}, earlier, interrupted)
 
     def _context(self, code: _Code) -> Context:
         recorded, config = self._record.of, self._of.project.config
@@ -311,7 +311,7 @@ class _Replaying:
     def _judged(self, executed: _Executed) -> tuple[OfExperiment, ...]:
         """Compare the executions with the record."""
         of, record = self._of, self._record
-        failed = {run: executed.tally.statuses[run] for run in executed.tally.failed}
+        failed = {run: executed.counter.statuses[run] for run in executed.counter.failed}
         counts = self._options.variation.compared
         runs = compare_runs(record, self._store, executed.executions, failed, of.rules)
         compared = [replace(run, outputs=counts(run.outputs)) for run in runs]

@@ -239,15 +239,17 @@ def needed(programs: Programs, search: str) -> tuple[Requirement, ...]:
     from sierra.worker import array_task
 
     digests = HashCache()
-    files = [one for one in programs.all if one.kind != Kind.DISTRIBUTIONS]
-    called = {one.path for one in files[1:] if _is_called(one, search)}
-    folders = (one for one in programs.all if one.kind == Kind.DISTRIBUTIONS and one.name.endswith(INSTALLED))
+    files = [program for program in programs.all if program.kind != Kind.DISTRIBUTIONS]
+    called = {program.path for program in files[1:] if _is_called(program, search)}
+    folders = (program for program in programs.all if program.kind == Kind.DISTRIBUTIONS and program.name.endswith(INSTALLED))
     return (
         *(
-            Requirement(one.name, one.path, sha256, search if one.path in called else "", link=one.kind == Kind.LINK)
-            for one, sha256 in ((one, _content(one, digests)) for one in files)
+            Requirement(
+                program.name, program.path, sha256, search if program.path in called else "", link=program.kind == Kind.LINK
+            )
+            for program, sha256 in ((program, _content(program, digests)) for program in files)
         ),
-        *(Requirement(one.name, one.path, holds=array_task.installed(one.path)) for one in folders),
+        *(Requirement(program.name, program.path, holds=array_task.installed(program.path)) for program in folders),
     )
 
 

@@ -102,8 +102,8 @@ def matching(text: str, axes: Sequence[Axis], cells: Cells, origin: str, labels:
         outside, quotes = split_off(_with_names(text, labels) if has_quotes else text)
         parts = _AND.split(_BLANKS.sub(",", _with_names(outside, labels)))
         comparisons = [_comparison(part, quotes, axes, labels) for part in parts]
-        for one in comparisons:
-            _check(one, axes, labels)
+        for comparison in comparisons:
+            _check(comparison, axes, labels)
     except QueryError as error:
         raise QueryError(f"{origin} {text!r}: {error}") from None
     chosen = frozenset(
@@ -149,13 +149,13 @@ def _comparison(text: str, quotes: Sequence[str], axes: Sequence[Axis], labels: 
     def written(part: str) -> str:
         return _PLACE.sub(lambda place: quotes[int(place[1])], part)
 
-    found = _COMPARISON.fullmatch(text)
-    if found is None:
+    match = _COMPARISON.fullmatch(text)
+    if match is None:
         raise QueryError(f"{written(text.strip())!r} is not a comparison; use, for example, {EXAMPLE!r}")
-    axis = next((axis for axis in axes if axis.name == found["name"]), Axis(found["name"], ()))
+    axis = next((axis for axis in axes if axis.name == match["name"]), Axis(match["name"], ()))
     known = labels.get(axis.name, {})
-    values = tuple(_value(written(word), axis, known) for word in found["values"].split(","))
-    return Comparison(axis.name, found["operator"], values)
+    values = tuple(_value(written(word), axis, known) for word in match["values"].split(","))
+    return Comparison(axis.name, match["operator"], values)
 
 
 def _value(word: str, axis: Axis, labels: Mapping[Value, Value]) -> Value:
@@ -168,21 +168,21 @@ def _value(word: str, axis: Axis, labels: Mapping[Value, Value]) -> Value:
     return content if content in axis.values else names.get(content, value)
 
 
-def _check(one: Comparison, axes: Sequence[Axis], labels: Labels) -> None:
+def _check(comparison: Comparison, axes: Sequence[Axis], labels: Labels) -> None:
     """Raise QueryError if the query has no such variable, or if the variable cannot have such values."""
-    axis = next((axis for axis in axes if axis.name == one.name), None)
+    axis = next((axis for axis in axes if axis.name == comparison.name), None)
     if axis is None:
         names = [axis.name for axis in axes]
-        close = difflib.get_close_matches(one.name, names, 1, cutoff=0.5)
+        close = difflib.get_close_matches(comparison.name, names, 1, cutoff=0.5)
         hint = f"did you mean {close[0]!r}?" if close else f"it varies {', '.join(names)}"
-        raise QueryError(f"this query does not vary {one.name!r}; {hint}")
-    if one.operator in ORDERED:
-        if len(one.values) > 1:
-            raise QueryError(f"{one.operator} takes one number; use = for a list of values")
-        if not axis.numeric or isinstance(one.values[0], str):
-            raise QueryError(f"{one.operator} compares numbers; {_values(axis, labels)}: use = or !=")
-    elif unknown := [value for value in one.values if value not in axis.values]:
-        raise QueryError(f"{one.name} is never {grammar.value_text(unknown[0])}; {_values(axis, labels)}")
+        raise QueryError(f"this query does not vary {comparison.name!r}; {hint}")
+    if comparison.operator in ORDERED:
+        if len(comparison.values) > 1:
+            raise QueryError(f"{comparison.operator} takes one number; use = for a list of values")
+        if not axis.numeric or isinstance(comparison.values[0], str):
+            raise QueryError(f"{comparison.operator} compares numbers; {_values(axis, labels)}: use = or !=")
+    elif unknown := [value for value in comparison.values if value not in axis.values]:
+        raise QueryError(f"{comparison.name} is never {grammar.value_text(unknown[0])}; {_values(axis, labels)}")
 
 
 def _values(axis: Axis, labels: Labels) -> str:

@@ -66,8 +66,8 @@ def request(
         raise UsageError(f"{runs} runs per experiment; request 1 or more")
     criteria, sets = tuple(criteria), tuple(sets)
     for text in (*criteria, controller, scenario, target, *(text for pair in sets for text in pair)):
-        if text is not None and (found := half_character(text)):
-            raise UsageError(f"{text!r}: {found!r} is no character of UTF-8")
+        if text is not None and (character := half_character(text)):
+            raise UsageError(f"{text!r}: {character!r} is no character of UTF-8")
     return QueryRequest(
         criteria=criteria,
         runs=runs,

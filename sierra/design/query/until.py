@@ -68,19 +68,19 @@ def parse(text: str) -> Rule:
 
 
 def _condition(text: str) -> Condition:
-    found = _CONDITION.fullmatch(text)
-    if found is None or bool(found["statistic"]) != bool(found["closed"]):
+    match = _CONDITION.fullmatch(text)
+    if match is None or bool(match["statistic"]) != bool(match["closed"]):
         raise QueryError(
             f"--until: {text.strip()!r} is not a condition; use, for example, {EXAMPLE!r}, 'ci(swarm.coverage) < 5%' or "
             "'ci(median(coverage)) < 0.02'"
         )
-    if found["operator"] != "<":
+    if match["operator"] != "<":
         raise QueryError(
-            f"--until: {text.strip()!r} has the operator {found['operator']}; an interval must be narrow, so use <"
+            f"--until: {text.strip()!r} has the operator {match['operator']}; an interval must be narrow, so use <"
         )
-    limit = _number(found["limit"], text) / (100 if found["percent"] else 1)
+    limit = _number(match["limit"], text) / (100 if match["percent"] else 1)
     return Condition(
-        found["statistic"] or MEAN, _read(found["table"] or ""), _read(found["column"]), limit, relative=bool(found["percent"])
+        match["statistic"] or MEAN, _read(match["table"] or ""), _read(match["column"]), limit, relative=bool(match["percent"])
     )
 
 

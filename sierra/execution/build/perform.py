@@ -142,7 +142,9 @@ def record(
     objects.close()
     writer.records([row])
     writer.records(
-        BuildProductRow(row.build, row.session, one.name, one.size, one.sha256) for one in ended.products if row.result
+        BuildProductRow(row.build, row.session, product.name, product.size, product.sha256)
+        for product in ended.products
+        if row.result
     )
     writer.records(programs.rows())
     store.publish(writer)
@@ -190,7 +192,7 @@ def _isolated(recipe: Recipe, place: Place, store: Store, session: Session) -> I
     box = isolation.box
     if box is None:
         return isolation
-    mounts = tuple(replace(one, writable=True) if one.target == PROJECT else one for one in box.mounts)
+    mounts = tuple(replace(mount, writable=True) if mount.target == PROJECT else mount for mount in box.mounts)
     return replace(isolation, box=replace(box, mounts=mounts, shared=False))
 
 
@@ -219,8 +221,10 @@ def _client(recipe: Recipe, place: Place, session: Session, isolation: Isolation
         Mount(f"{folder}/{RUN_TMP}", "/tmp", writable=True),  # noqa: S108
     )
     process = Process(argv, variables, own, os.path.normpath(f"{PROJECT}/{recipe.folder}"))
-    made = place.engine.client(box, process)
-    filled = with_folder({"argv": list(made.argv), "environment": dict(made.environment), "stop": list(made.stop)}, folder)
+    client = place.engine.client(box, process)
+    filled = with_folder(
+        {"argv": list(client.argv), "environment": dict(client.environment), "stop": list(client.stop)}, folder
+    )
     return Client(tuple(filled["argv"]), filled["environment"], tuple(filled.get("stop", ())))
 
 
@@ -245,8 +249,8 @@ def _execute_all(
 ) -> tuple[int | None, str | None]:
     """Execute a build's command for each processor until one fails; return the last exit status, and why it failed."""
     exit_code, reason, output = None, None, session.paths.building / LOG
-    for one in recipe.executions:
-        client = _client(one, place, session, isolation, temporary)
+    for part in recipe.executions:
+        client = _client(part, place, session, isolation, temporary)
         try:
             exit_code, reason = _execute(client, place.root / recipe.folder, output, recipe.wall)
         finally:
@@ -276,11 +280,11 @@ def _execute(client: Client, folder: Path, output: Path, wall: float | None) -> 
 
 def _check_disk(root: Path, folder: Path, output: Path) -> None:
     """Raise Missing if a full disk is why a build failed: it is full now, or the build said so and then removed files."""
-    for place in (root, folder):
+    for checked in (root, folder):
         try:
-            check_room(str(place))
+            check_room(str(checked))
         except OSError as error:
-            raise Missing(f"cannot write to {place}: {error.strerror}") from error
+            raise Missing(f"cannot write to {checked}: {error.strerror}") from error
     content, _ = kept_of(str(output))
     for number in (errno.ENOSPC, errno.EDQUOT):
         if os.strerror(number).encode() in content:

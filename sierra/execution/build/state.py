@@ -38,26 +38,26 @@ FILES = "SELECT files FROM sources WHERE tree = $t LIMIT 1"
 
 def look(recipe: Recipe, root: Path, store: Store | None) -> BuildState:
     """Compare the products on disk with the last build from the same inputs. Nothing is executed."""
-    found = build_products.hashed(root, recipe.patterns)
+    products = build_products.hashed(root, recipe.patterns)
     if store is None:
-        return BuildState(recipe, found, "nothing has been built yet")
+        return BuildState(recipe, products, "nothing has been built yet")
     with store.snapshot() as snapshot:
         builds = snapshot.select(BuildRow, BUILDS)
         same = [row for row in builds if row.build == recipe.id]
         if same and same[0].result is not None:
-            made = snapshot.select(BuildProductRow, OF_BUILD, b=same[0].build, s=same[0].session)
-            return BuildState(recipe, found, _difference(made, found))
+            built = snapshot.select(BuildProductRow, OF_BUILD, b=same[0].build, s=same[0].session)
+            return BuildState(recipe, products, _difference(built, products))
         if same:
-            return BuildState(recipe, found, "the last build failed")
+            return BuildState(recipe, products, "the last build failed")
         if not builds:
-            return BuildState(recipe, found, "nothing has been built yet")
-        return BuildState(recipe, found, few(list(_changes(recipe, builds[0], store, snapshot)), SHOWN))
+            return BuildState(recipe, products, "nothing has been built yet")
+        return BuildState(recipe, products, few(list(_changes(recipe, builds[0], store, snapshot)), SHOWN))
 
 
-def _difference(made: Sequence[BuildProductRow], found: Sequence[Product]) -> str | None:
+def _difference(built: Sequence[BuildProductRow], products: Sequence[Product]) -> str | None:
     """Return how the products on disk differ from those of a build, in one line; None if they do not."""
-    now = {one.name: one.sha256 for one in found}
-    was = {row.name: row.sha256 for row in made}
+    now = {one.name: one.sha256 for one in products}
+    was = {row.name: row.sha256 for row in built}
     missing = [name for name in was if name not in now]
     changed = [name for name, digest in was.items() if now.get(name, digest) != digest]
     others = [name for name in now if name not in was]
@@ -88,7 +88,7 @@ def _changes(recipe: Recipe, before: BuildRow, store: Store, snapshot: Snapshot)
     if (before.image, tuple(before.host_access)) != (spec.image, spec.host_access):
         yield "the image has changed"
     if before.programs != recipe.programs.id:
-        was = Programs(tuple(one.program() for one in row_queries.programs(snapshot, [before.programs])))
+        was = Programs(tuple(program.program() for program in row_queries.programs(snapshot, [before.programs])))
         yield f"programs have changed: {few(was.unlike(recipe.programs), SHOWN)}"
 
 

@@ -51,8 +51,8 @@ def summary(files: Iterable[UsedFile], programs: Sequence[RecordedProgram], dist
     started = sorted({name for name in executed if not LOADER.fullmatch(name)}, key=lambda name: (name in COMMON, name))
     pythons = [name for name in started if PYTHON.fullmatch(name)]
     others = [name for name in started if name not in pythons]
-    found = Counter(kind for file in files if (kind := _kind(file, programs)))
-    loaded = [_plural(found[kind], kind) for kind in (PLUGIN, LIBRARY) if found[kind]]
+    counts = Counter(kind for file in files if (kind := _kind(file, programs)))
+    loaded = [_plural(counts[kind], kind) for kind in (PLUGIN, LIBRARY) if counts[kind]]
     named = [_with_version(name, programs) for name in others if name not in COMMON]
     common = [name for name in others if name in COMMON]
     parts = [
@@ -60,7 +60,7 @@ def summary(files: Iterable[UsedFile], programs: Sequence[RecordedProgram], dist
         *(_python(name, programs, distributions) for name in pythons),
         few(common, NAMED),
         "a GPU" if any(file.path == GPU for file in files) else "",
-        ", ".join(_plural(found[kind], kind) for kind in (*KINDS, OTHER) if found[kind]),
+        ", ".join(_plural(counts[kind], kind) for kind in (*KINDS, OTHER) if counts[kind]),
     ]
     return "; ".join(filter(None, parts))
 
@@ -93,7 +93,7 @@ def _kind(file: UsedFile, programs: Sequence[RecordedProgram]) -> str | None:
     if file.use != "read" or file.path == GPU or OF_PYTHON.search(file.path):
         return None
     if SHARED.search(file.path):
-        known = any(one.sha256 == file.sha256 for one in programs)
+        known = any(program.sha256 == file.sha256 for program in programs)
         return None if known else PLUGIN if file.path.endswith(".so") else LIBRARY
     if file.path.startswith(OF_SYSTEM):
         return None

@@ -111,7 +111,7 @@ def load(snapshot: Snapshot, names: Iterable[str]) -> FileSets:
         snapshot,
         frozenset(snapshot.values(str, NAMES)),
         tuple(snapshot.select(UsedFile, FILES)),
-        {one.sha256: frozenset(one.names) for one in snapshot.select(_Listing, LISTINGS)},
+        {listing.sha256: frozenset(listing.names) for listing in snapshot.select(_Listing, LISTINGS)},
         frozenset(snapshot.values(str, WRITTEN)),
     )
 

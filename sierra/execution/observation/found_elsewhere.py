@@ -87,8 +87,8 @@ def found_elsewhere(executed: Iterable[str], missed: Iterable[str], before: str 
     folders = set((before or "").split(os.pathsep))
     for path in missed:
         folder, name = os.path.split(path)
-        if folder in folders and shutil.which(name, path=before) is None and (found := shutil.which(name, path=now)):
-            return found
+        if folder in folders and shutil.which(name, path=before) is None and (path_now := shutil.which(name, path=now)):
+            return path_now
     return None
 
 

@@ -48,13 +48,13 @@ def contents(plan: Plan, store: Store, session: str) -> Iterator[bytes]:
     if not used:
         return
     with store.snapshot() as snapshot:
-        stored = snapshot.kept_sizes(one.sha256 for one in used.values())
+        stored = snapshot.kept_sizes(file.sha256 for file in used.values())
     left = plan.project.config.source.max_ignored
-    for size, path, one in sorted((path.stat().st_size, path, one) for path, one in used.items() if path.is_file()):
+    for size, path, file in sorted((path.stat().st_size, path, file) for path, file in used.items() if path.is_file()):
         if size > left:
             return
-        content = b"" if one.sha256 in stored else path.read_bytes()
-        if (one.use in KEPT or content.startswith(MAGIC)) and sha256(content) == one.sha256:
+        content = b"" if file.sha256 in stored else path.read_bytes()
+        if (file.use in KEPT or content.startswith(MAGIC)) and sha256(content) == file.sha256:
             left -= size
             yield content
 
@@ -62,16 +62,16 @@ def contents(plan: Plan, store: Store, session: str) -> Iterator[bytes]:
 def _used(plan: Plan, store: Store, session: str) -> Mapping[Path, _Used]:
     """Return the project's files outside the source that are known to be used."""
     converted = plan.source.converted if plan.source else {}
-    derived = [_Used(one.name, str(one.kind), one.sha256) for one in plan.programs.all if one.name.startswith(IN_PROJECT)]
+    derived = [_Used(file.name, str(file.kind), file.sha256) for file in plan.programs.all if file.name.startswith(IN_PROJECT)]
     observed = [] if plan.project.config.observe == "none" else store.select(_Used, OBSERVED, s=session, inside=IN_PROJECT)
     root, known = plan.project.root, source.paths(plan.source.manifest) if plan.source else set()
-    made = {one.name for one in plan.build.products} if plan.build else set()
-    found = {one.path.removeprefix(IN_PROJECT): one for one in (*derived, *observed)}
+    products = {file.name for file in plan.build.products} if plan.build else set()
+    files = {file.path.removeprefix(IN_PROJECT): file for file in (*derived, *observed)}
     lossy = {root / unescaped(name): _Used(name, CONVERTED, sha256) for name, sha256 in converted.items()}
     return lossy | {
-        root / name: one
-        for name, one in found.items()
-        if os.fsencode(name) not in known and name not in made and not _is_in_environment(root, name)
+        root / name: file
+        for name, file in files.items()
+        if os.fsencode(name) not in known and name not in products and not _is_in_environment(root, name)
     }
 
 

@@ -70,18 +70,18 @@ class ListedFolders:
             return self._are_unused_packages(difference.new, files)
         return False
 
-    def _difference(self, one: UsedFile) -> _Difference | None:
-        here = located(one.path, self._current.folders)
-        before = self._sets.listings.get(one.sha256 or "")
+    def _difference(self, folder: UsedFile) -> _Difference | None:
+        here = located(folder.path, self._current.folders)
+        before = self._sets.listings.get(folder.sha256 or "")
         if here is None or before is None:
             return None
         try:
             now = {_shown(name) for name in os.listdir(here)}  # noqa: PTH208 - names are needed
         except OSError:
             return None
-        mine = {path.rpartition("/")[2] for path in self._sets.written if path.rpartition("/")[0] == one.path}
+        mine = {path.rpartition("/")[2] for path in self._sets.written if path.rpartition("/")[0] == folder.path}
         own = mine | {"__pycache__"}
-        return _Difference(self._counting(one, now - before - own), self._counting(one, before - now - own))
+        return _Difference(self._counting(folder, now - before - own), self._counting(folder, before - now - own))
 
     def _counting(self, one: UsedFile, names: Iterable[str]) -> frozenset[str]:
         inside = one.path + "/"

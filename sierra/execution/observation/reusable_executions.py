@@ -157,7 +157,7 @@ def find(
         input=(first for first, *_ in digests),
         other_inputs=(" ".join(others) for _, *others in digests),
     )
-    if any(one.shared for one in plan.batch.spec.around.services):
+    if any(service.shared for service in plan.batch.spec.around.services):
         stale = ()  # such a service may have read a file for any run, whichever run was observed then
     if plan.checkout is not None:  # it does not have the current files, so that nothing else can be compared
         return _inherited(plan, snapshot, stale, lambda sets: sets - other)
@@ -167,11 +167,11 @@ def find(
     rows = _by_same_plugins(plan, snapshot, rows)
     current = plan_files.current(plan)
     same = _unchanged(current, snapshot, {row.files for row in rows})
-    found = {row.run: Reusable(row.execution, row.spec, row.programs) for row in rows if row.files in same}
-    if len(found) == len(sought):
-        return found, frozenset()
+    reusable = {row.run: Reusable(row.execution, row.spec, row.programs) for row in rows if row.files in same}
+    if len(reusable) == len(sought):
+        return reusable, frozenset()
     inherited, unobserved = _inherited(plan, snapshot, stale, lambda sets: _unchanged(current, snapshot, sets))
-    return {**inherited, **found}, unobserved - found.keys()
+    return {**inherited, **reusable}, unobserved - reusable.keys()
 
 
 def _inherited(
@@ -184,9 +184,9 @@ def _inherited(
     rows = _inheriting(plan, snapshot, stale)
     complete = [row for row in rows if row.observed and row.complete]
     same = unchanged_of({files for row in complete for files in row.sets})
-    found = {row.run: Reusable(row.execution, plan.batch.spec_id, row.programs) for row in complete if same >= set(row.sets)}
+    reusable = {row.run: Reusable(row.execution, plan.batch.spec_id, row.programs) for row in complete if same >= set(row.sets)}
     observed = {row.run for row in rows if row.observed}
-    return found, frozenset({row.run for row in rows} - observed)
+    return reusable, frozenset({row.run for row in rows} - observed)
 
 
 def _unchanged(current: Current, snapshot: Snapshot, sets: Collection[str]) -> set[str]:
@@ -231,10 +231,10 @@ def _certain(plan: Plan, programs: Programs) -> Programs:
     variables = plan.batch.spec.environment
     return Programs(
         tuple(
-            one
-            for one in programs.all
-            if one.kind != Kind.DISTRIBUTIONS
-            and not (one.kind == Kind.FILE and referenced_files.is_in_library_folder(one.name, variables))
+            program
+            for program in programs.all
+            if program.kind != Kind.DISTRIBUTIONS
+            and not (program.kind == Kind.FILE and referenced_files.is_in_library_folder(program.name, variables))
         )
     )
 
@@ -254,13 +254,13 @@ SELECT files FROM sources WHERE tree = (SELECT source FROM specs WHERE spec = $s
 
 
 def unused_changes(
-    plan: Plan, store: Store, session: str, found: Iterable[Reusable], stale: Mapping[str, UsedFile]
+    plan: Plan, store: Store, session: str, reusable: Iterable[Reusable], stale: Mapping[str, UsedFile]
 ) -> Iterator[UnusedChangeRow]:
     """Yield the files and programs that differ between reused executions and the plan, which the executions did not use.
 
     `stale`: the sessions whose executions do not count of themselves, each with a file that has changed.
     """
-    for spec, programs in sorted({(one.spec, one.programs) for one in found}):
+    for spec, programs in sorted({(execution.spec, execution.programs) for execution in reusable}):
         names: list[str] = []
         if spec != plan.batch.spec_id and plan.source is not None:
             [files] = store.values(str, SOURCE_FILES, spec=spec) or [""]

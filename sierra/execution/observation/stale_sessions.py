@@ -88,23 +88,25 @@ def find_with_sets(plan: Plan, snapshot: Snapshot) -> tuple[dict[str, UsedFile],
     sets = snapshot.select(_Set, SETS, spec=plan.batch.spec_id, programs=plan.programs.id)
     if not sets:
         return {}, frozenset()
-    found, current = file_sets.load(snapshot, {one.files for one in sets}), plan_files.current(plan)
-    written = _written(snapshot, {one.session for one in sets}) if snapshot.holds("files_written") else set()
-    compared = compare(found, current)
-    elsewhere = _elsewhere(plan, snapshot, sets, found, current)
+    file_sets_used, current = file_sets.load(snapshot, {group.files for group in sets}), plan_files.current(plan)
+    written = _written(snapshot, {group.session for group in sets}) if snapshot.holds("files_written") else set()
+    compared = compare(file_sets_used, current)
+    elsewhere = _elsewhere(plan, snapshot, sets, file_sets_used, current)
     committed = source.paths(plan.source.manifest) if plan.source else None
     stale: dict[str, UsedFile] = {}
     other: set[str] = set()
-    for one in sets:
-        files = compared.counting.get(one.files, ())
-        changed = [f for f in files if (one.session, f.path) not in written and _counts(plan, one, f, committed)]
-        if path := elsewhere.get((one.files, one.environment)):
+    for group in sets:
+        files = compared.counting.get(group.files, ())
+        changed = [f for f in files if (group.session, f.path) not in written and _counts(plan, group, f, committed)]
+        if path := elsewhere.get((group.files, group.environment)):
             changed.append(UsedFile(path, FOUND_ELSEWHERE, None))
         if changed:
-            stale.setdefault(one.session, changed[0])
-            other.add(one.files)
+            stale.setdefault(group.session, changed[0])
+            other.add(group.files)
     others = {
-        one.session: compared.harmless[one.files][0]._replace(use=HARMLESS) for one in sets if one.files in compared.harmless
+        group.session: compared.harmless[group.files][0]._replace(use=HARMLESS)
+        for group in sets
+        if group.files in compared.harmless
     }
     unobserved = _unobserved(plan, snapshot, others.keys() - stale.keys())
     return {**stale, **{session: others[session] for session in unobserved}}, frozenset(other)
@@ -123,7 +125,7 @@ def _written(snapshot: Snapshot, sessions: Iterable[str]) -> set[tuple[str, str]
     return {(row.session, row.path) for row in snapshot.select(_Written, WRITTEN, sessions=sorted(sessions))}
 
 
-def _counts(plan: Plan, one: _Set, file: UsedFile, committed: Set[bytes] | None) -> bool:
+def _counts(plan: Plan, used_set: _Set, file: UsedFile, committed: Set[bytes] | None) -> bool:
     """Check whether the project's folder tells anything about a file: a checkout has only the files of the source.
 
     `committed` are these files; None for a recorded batch.
@@ -133,23 +135,23 @@ def _counts(plan: Plan, one: _Set, file: UsedFile, committed: Set[bytes] | None)
     if plan.checkout is not None:
         own = committed is None or os.fsencode(file.path.removeprefix(f"{PROJECT}/")) in committed
         return file.use in ("read", "executed") and not own
-    return not (one.checkout and file.use in ("missed", "found", "listed"))
+    return not (used_set.checkout and file.use in ("missed", "found", "listed"))
 
 
 def _elsewhere(
-    plan: Plan, snapshot: Snapshot, sets: Iterable[_Set], found: FileSets, current: Current
+    plan: Plan, snapshot: Snapshot, sets: Iterable[_Set], file_sets_used: FileSets, current: Current
 ) -> dict[tuple[str, str], str]:
     """Return the sets with a program that the search path finds elsewhere now, by the environment of their executions."""
     by_environment: dict[str, set[str]] = {}
-    for one in sets:
-        by_environment.setdefault(one.environment, set()).add(one.files)
+    for used_set in sets:
+        by_environment.setdefault(used_set.environment, set()).add(used_set.files)
     others = sorted(by_environment.keys() - {plan.environment.environment})
     if not others or current.declared:
         return {}
     stale = {}
     for environment, search in snapshot.select(_Search, PATHS, environments=others):
         if search != current.search:
-            differing = found_differently(found, current, dict.fromkeys(by_environment[environment], (search,)))
+            differing = found_differently(file_sets_used, current, dict.fromkeys(by_environment[environment], (search,)))
             stale.update({(name, environment): path for name, path in differing.items()})
     return stale
 

@@ -41,21 +41,21 @@ def compare(sets: FileSets, current: Current) -> Changes:
     cache = HashCache()
     folders = ListedFolders(sets, current)
     changed, doubtful = [], []
-    for one in sets.files:
-        if one.use == "listed":
-            if folders.is_changed(one):
-                doubtful.append(one)
-        elif one.path == CACHE:
-            if not is_same(one.path, "read", one.sha256, {}, cache):
-                doubtful.append(one)
-        elif not _is_same(one, current, cache):
-            changed.append(one)
+    for used_file in sets.files:
+        if used_file.use == "listed":
+            if folders.is_changed(used_file):
+                doubtful.append(used_file)
+        elif used_file.path == CACHE:
+            if not is_same(used_file.path, "read", used_file.sha256, {}, cache):
+                doubtful.append(used_file)
+        elif not _is_same(used_file, current, cache):
+            changed.append(used_file)
     cache.save()
-    found, harmless = sets.having(changed), dict[str, list[UsedFile]]()
+    counting, harmless = sets.having(changed), dict[str, list[UsedFile]]()
     for name, file, counts in _changed_for(sets, current, folders, doubtful):
         if counts or not file.is_in_project:
-            (found if counts else harmless).setdefault(name, []).append(file)
-    return Changes(found, harmless)
+            (counting if counts else harmless).setdefault(name, []).append(file)
+    return Changes(counting, harmless)
 
 
 def _changed_for(
@@ -66,13 +66,13 @@ def _changed_for(
     having = sets.having(doubtful)
     members = sets.members(having)
     for name, files in having.items():
-        for one in files:
-            if one.use == "listed":
-                yield name, one, not folders.is_harmless(one, members[name])
+        for file in files:
+            if file.use == "listed":
+                yield name, file, not folders.is_harmless(file, members[name])
             elif path := loader.found_elsewhere(located_paths(members[name], current, *LOADED)):
-                yield name, one if path == one.path else UsedFile(path, FOUND_ELSEWHERE, None), True
+                yield name, file if path == file.path else UsedFile(path, FOUND_ELSEWHERE, None), True
             else:
-                yield name, one, False
+                yield name, file, False
 
 
 def _is_same(one: UsedFile, current: Current, cache: HashCache) -> bool:
@@ -83,8 +83,8 @@ def _is_same(one: UsedFile, current: Current, cache: HashCache) -> bool:
 def with_other_programs(sets: FileSets, current: Current) -> set[str]:
     """Return the sets without the program that the command starts now, and those of which the search path finds others."""
     program = os.path.realpath(current.program)
-    executed = (one for one in sets.files if one.use == "executed")
-    started = [one for one in executed if program in map(os.path.realpath, located_paths([one], current, "executed"))]
+    executed = (file for file in sets.files if file.use == "executed")
+    started = [file for file in executed if program in map(os.path.realpath, located_paths([file], current, "executed"))]
     others = set(sets.names) - sets.having(started).keys()
     if current.declared:
         return others
@@ -96,7 +96,7 @@ def with_other_programs(sets: FileSets, current: Current) -> set[str]:
 
 def found_differently(sets: FileSets, current: Current, before: Mapping[str, Collection[str | None]]) -> dict[str, str]:
     """Return the sets of which a program is found elsewhere by the current search path than by any `before`, each with one."""
-    found: dict[str, str] = {}
+    differing: dict[str, str] = {}
     known: dict[tuple[tuple[str, ...], tuple[str, ...], str | None], str | None] = {}
     for name, files in sets.members(before).items():
         programs, missed = tuple(_programs(files, current)), tuple(located_paths(files, current, "missed"))
@@ -105,8 +105,8 @@ def found_differently(sets: FileSets, current: Current, before: Mapping[str, Col
             if key not in known:
                 known[key] = found_elsewhere(programs, missed, path, current.search)
             if other := known[key]:
-                found.setdefault(name, other)
-    return found
+                differing.setdefault(name, other)
+    return differing
 
 
 def _programs(files: Collection[UsedFile], current: Current) -> list[str]:

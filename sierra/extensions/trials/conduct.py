@@ -24,7 +24,7 @@ from sierra.extensions.trials.order import OrderedRun, order_seed, ordered
 from sierra.extensions.trials.supervisor import Ended, Start, Supervisor, Trial, Verdict
 from sierra.extensions.trials.table import Trials
 from sierra.extensions.trials.watched_runner import WatchedRunner
-from sierra.ingest.consistency import find_odd
+from sierra.ingest.consistency import find_inconsistent
 from sierra.model import Run, Status
 from sierra.runners.base import NamesRobots, Runner
 from sierra.store.row_types import TrialRow
@@ -171,7 +171,7 @@ class Conduct:
         self._left -= verdict.valid
         if verdict.valid:  # only now it is compared with its siblings, because it did not count before
             now = context(self._plan, self._session.id, self._session.number)
-            self._outcome.inconsistent |= find_odd(self._store, self._session.paths, now)
+            self._outcome.inconsistent |= find_inconsistent(self._store, self._session.paths, now)
         return verdict.valid
 
     def _leave_out(self, run: Run, decision: Start | None, *, interrupted: bool) -> None:
@@ -185,9 +185,9 @@ class Conduct:
         """Ask for the verdict on a trial, and record it; return it."""
         verdict = self._supervisor.verdict(trial, ended)
         self._record(row._replace(valid=verdict.valid, reason=verdict.reason, note=verdict.note))
-        self._core.tally.ended(run.id, ended.status if verdict.valid else Status.INVALID)
+        self._core.counter.ended(run.id, ended.status if verdict.valid else Status.INVALID)
         if not verdict.valid:
-            self._core.tally.failed.discard(run.id)  # it is repeated
+            self._core.counter.failed.discard(run.id)  # it is repeated
         return verdict
 
     def _record(self, row: TrialRow) -> None:

@@ -145,19 +145,19 @@ def _site(scheduler: str, table: ClusterTable, notes: list[str]) -> tuple[str | 
 def _settings(sized: Size, times: Times | None, table: ClusterTable, bounds: Bounds) -> list[Setting]:
     """Return all requested settings, and the site's limits."""
     values: dict[str, float | None] = {"array_tasks": sized.elements, "wall": sized.wall_s}
-    found = [Setting(name, values.get(name), why) for name, why in sized.why]
+    settings = [Setting(name, values.get(name), why) for name, why in sized.why]
     if times:
         took = f"{min(times.each):.3g} to {max(times.each):.3g} s, mean {times.mean:.3g} s"
-        found.append(Setting("time of a run", took, times.how))
+        settings.append(Setting("time of a run", took, times.how))
     if sized.first:
         unknown = NEVER_TIMED if times else NO_DURATION
-        found.append(Setting("first runs", len(sized.first), f"{unknown}: measured by these runs"))
+        settings.append(Setting("first runs", len(sized.first), f"{unknown}: measured by these runs"))
     for name in SHOWN:
         value = getattr(table, name)
         shown = ", ".join(value) or None if isinstance(value, tuple) else value
         if why := "set in sierra.toml" if name in table.model_fields_set else DEFAULTS.get(name):
-            found.append(Setting(name, shown, why))
-    return [*found, *_allowed(bounds)]
+            settings.append(Setting(name, shown, why))
+    return [*settings, *_allowed(bounds)]
 
 
 def _allowed(bounds: Bounds) -> Iterator[Setting]:

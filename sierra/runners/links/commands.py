@@ -73,12 +73,12 @@ class Exchange:
         """Return 1 or 2 and bytes that the command wrote, if any; None if it has ended. Raises TimeoutError, Unreachable."""
         if self.ended:
             return None
-        found = self._stream.read(timeout)
-        if found is None:
-            said = self._stream.problem() or " ".join(filter(None, (one.before for one in self._outputs.values())))
+        piece = self._stream.read(timeout)
+        if piece is None:
+            said = self._stream.problem() or " ".join(filter(None, (output.before for output in self._outputs.values())))
             raise Unreachable(f"{self.name}: the connection ended while a command executed{f': {said}' if said else ''}")
         try:
-            return found[0], self._outputs[found[0]].feed(found[1])
+            return piece[0], self._outputs[piece[0]].feed(piece[1])
         except ValueError:
             raise Unreachable(f"{self.name}: the end of a command comes without its exit status") from None
 
@@ -110,11 +110,11 @@ class Lines:
             if len(self._held) > LONGEST_LINE:
                 raise Unreachable(f"{self._exchange.name}: sends a line of more than {LONGEST_LINE >> 20} MiB")
             try:
-                found = self._exchange.read(max(0.0, end - time.monotonic()))
+                piece = self._exchange.read(max(0.0, end - time.monotonic()))
             except TimeoutError:
                 raise Overdue(f"{self._exchange.name}: no answer within {timeout:g} s") from None
-            self._over = found is None
-            match found:
+            self._over = piece is None
+            match piece:
                 case (1, data):
                     self._held += data
                 case (2, data):
@@ -168,9 +168,9 @@ class Commands(ABC):
                 _feed(exchange, stdin, timeout)
             kept = {1: bytearray(), 2: bytearray()}
             try:
-                while found := exchange.read(max(0.0, end - time.monotonic())):
-                    output = kept[found[0]]
-                    output += found[1][: LIMIT - len(output)]
+                while piece := exchange.read(max(0.0, end - time.monotonic())):
+                    output = kept[piece[0]]
+                    output += piece[1][: LIMIT - len(output)]
                     if time.monotonic() > end and not exchange.ended:
                         raise TimeoutError
             except TimeoutError:

@@ -44,12 +44,12 @@ def listed(folder: Path) -> list[Entry]:
     try:
         if folder.is_file():
             return [remote_folder.file_entry(os.fsencode(folder), remote_folder.text(os.fsencode(folder.name)))]
-        found, left_out = remote_folder.entries(os.fsencode(folder))
+        entries, left_out = remote_folder.entries(os.fsencode(folder))
     except OSError as error:
         raise Missing(f"{error.filename!r} cannot be read: {error.strerror}") from error
     if left_out:
         raise Missing(f"{folder}: only files, folders, and links that stay within can be copied, not {_few(left_out)}")
-    return found
+    return entries
 
 
 def push(
@@ -81,10 +81,10 @@ def pull(exchange: Conversation, folder: str, target: Path, timeout: float, *, s
         if is_there:
             _compare(target, entries)
         else:
-            with remote_folder.unfinished(os.fsencode(target.absolute())) as made:
-                digests = remote_folder.write(made, entries, host.read)
+            with remote_folder.unfinished(os.fsencode(target.absolute())) as unfinished:
+                digests = remote_folder.write(unfinished, entries, host.read)
                 remote_folder.verify(entries, digests, _digests(host, len(digests)))
-                remote_folder.finish(made, os.fsencode(target.absolute()))
+                remote_folder.finish(unfinished, os.fsencode(target.absolute()))
             entries = _with_digests(entries, digests)
     except remote_folder.Problem as error:
         raise Missing(f"{exchange.name}: {_shown(folder)}: {error}") from error
@@ -143,14 +143,14 @@ class _Host:
                     raise Missing(f"{self.failure}: the host sends a list of more than {LONGEST >> 20} MiB")
             line, _, self._held = self._held.partition(b"\n")
         try:
-            found = json.loads(line)
+            message = json.loads(line)
         except (ValueError, RecursionError):
-            found = None
-        if isinstance(found, dict) and "error" in found:
-            raise Missing(f"{self.failure}: {_shown(str(found['error']))}")
-        if not isinstance(found, dict) or not found.keys() & {"state", "entries"}:
+            message = None
+        if isinstance(message, dict) and "error" in message:
+            raise Missing(f"{self.failure}: {_shown(str(message['error']))}")
+        if not isinstance(message, dict) or not message.keys() & {"state", "entries"}:
             raise Missing(f"{self.failure}: it sends no answer of the protocol")
-        return found
+        return message
 
     def read(self, size: int) -> bytes:
         """Return at most this number of bytes of contents; at least one."""
@@ -161,16 +161,16 @@ class _Host:
 
     def _receive(self) -> None:
         try:
-            found = self._exchange.read(self._timeout)
+            piece = self._exchange.read(self._timeout)
         except TimeoutError:
             raise self._overdue() from None
-        if found is None:
+        if piece is None:
             said = self._errors.decode(errors="replace").strip().splitlines()[-1:]
             raise Missing(f"{self.failure}: {said[0] if said else 'Python ended'} (Python 3.8 or newer is needed there)")
-        if found[0] == 1:
-            self._held += found[1]
+        if piece[0] == 1:
+            self._held += piece[1]
         else:
-            self._errors = (self._errors + found[1])[-(1 << 14) :]
+            self._errors = (self._errors + piece[1])[-(1 << 14) :]
 
     def _overdue(self) -> Overdue:
         return Overdue(f"{self.failure}: no progress within {self._timeout:g} s")

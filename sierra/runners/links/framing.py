@@ -59,16 +59,16 @@ class Unframed:
             return b""
         held = self._held + data
         if not self.begun:
-            _, found, rest = held.partition(self._mark + b":")
-            if not found:
+            _, separator, rest = held.partition(self._mark + b":")
+            if not separator:
                 self._held = held[-(1 << 14) :]
                 return b""
             self.begun, held = True, rest
-        payload, found, rest = held.partition(self._mark + b".")
-        if found and (b"\n" in rest or len(rest) > DIGITS):
+        payload, separator, rest = held.partition(self._mark + b".")
+        if separator and (b"\n" in rest or len(rest) > DIGITS):
             self.status = int(rest.split(b"\n")[0])
             return payload
-        if not found:
+        if not separator:
             kept = _beginning(held, self._mark + b".")
             payload = held[: len(held) - kept]
         self._held = held[len(payload) :]

@@ -156,7 +156,7 @@ class Pbs:
             if queue := _queue(name):
                 most = [f"{key.partition('.')[2]} {value}" for key, value in queue.items() if key.startswith("resources_max.")]
                 return [f"queue {name} (up to {', '.join(most)})" if most else f"queue {name}"]
-            names = [one["id"] for one in qstat.text_records(_output_of("qstat", "-Q", "-f"))]
+            names = [record["id"] for record in qstat.text_records(_output_of("qstat", "-Q", "-f"))]
             return [f"queues {', '.join(names)}"]
         except Missing:
             return []
@@ -178,11 +178,11 @@ class Pbs:
             self._slurm.cancel(name, elements)
             return
         self._forget(name)
-        alive = [one for one in self._records(name) if one.get("job_state") not in qstat.ENDED]
+        alive = [record for record in self._records(name) if record.get("job_state") not in qstat.ENDED]
         if elements is None:
-            ids = list(dict.fromkeys(qstat.name(one["id"]).job for one in alive))
+            ids = list(dict.fromkeys(qstat.name(record["id"]).job for record in alive))
         else:
-            ids = [one["id"] for one in alive if qstat.element(one) in elements]
+            ids = [record["id"] for record in alive if qstat.element(record) in elements]
         for start in range(0, len(ids), AT_ONCE):
             done = _call("qdel", *ids[start : start + AT_ONCE])
             if done.returncode and any(not GONE.search(line) for line in done.stderr.splitlines()):

@@ -111,8 +111,8 @@ def own(records: Iterable[Record], called: str, owner: str) -> list[Record]:
 
 def tasks(records: Sequence[Record]) -> Iterator[Task]:
     """Yield the task of each element. A whole array is one task if none of its elements is listed."""
-    wholes = {name(one["id"]).job: one for one in records if name(one["id"]).place is None}
-    listed = {name(one["id"]).job for one in records if name(one["id"]).place is not None}
+    wholes = {name(job_record["id"]).job: job_record for job_record in records if name(job_record["id"]).place is None}
+    listed = {name(job_record["id"]).job for job_record in records if name(job_record["id"]).place is not None}
     for record in records:
         known = name(record["id"])
         if known.place is not None or known.job not in listed:
@@ -132,8 +132,8 @@ def element(record: Record) -> int | None:
     if not said:
         return known.place
     elements = _parse_elements(said[1].strip())
-    place = known.place or 0
-    return elements[place] if place < len(elements) else None
+    position = known.place or 0
+    return elements[position] if position < len(elements) else None
 
 
 @lru_cache(maxsize=4)

@@ -93,7 +93,7 @@ def about(words: str, meanings: Sequence[Meaning], table: ClusterTable, site: Ca
 
     The site is queried only if the words are about its nodes or about places in a queue.
     """
-    known = next((one for one in meanings if one.words.search(words)), None)
+    known = next((meaning for meaning in meanings if meaning.words.search(words)), None)
     if known is None:
         return words
     if not known.settings:

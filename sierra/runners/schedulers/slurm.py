@@ -131,7 +131,7 @@ class Slurm:
         return Bounds.of(
             array=least(
                 _limit(config.get("MaxArraySize", ""), "MaxArraySize"),
-                *(_limit(one, "max_array_tasks") for one in re.findall(r"max_array_tasks=(\d+)", parameters)),
+                *(_limit(number, "max_array_tasks") for number in re.findall(r"max_array_tasks=(\d+)", parameters)),
             ),
             jobs=least(_limit(config.get("MaxJobCount", ""), "MaxJobCount"), granted.jobs),
             wall_s=least(*walls, granted.wall_s),

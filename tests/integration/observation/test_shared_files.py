@@ -230,7 +230,7 @@ def test_a_session_that_cannot_compare_decides_nothing_for_others(
 
     def compare(session: Executor) -> None:
         for context in (replace(session._context, session="0" * 16), session._context):
-            found.append(len(shared_use.find(session.store, session.session.paths, context, settle=True)))
+            found.append(len(shared_use.find(session.store, session.session.paths, context, final=True)))
 
     monkeypatch.setattr(Executor, "_compare", compare)
     execute(f"{WRITE.format('$D/$$.csv')}; sleep 0.5; cp $D/$$.csv swarm.csv", query="population_size=1", runs=2)
