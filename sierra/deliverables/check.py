@@ -24,8 +24,8 @@ from sierra.deliverables.report.results import REPORT
 from sierra.errors import ConfigError, DamagedFile, Missing, NotFound, SierraError
 from sierra.stats.comparison.model import VERSION
 from sierra.store import deliverable_records
+from sierra.store.batch_data import BatchData
 from sierra.store.row_types import DeliverableRow
-from sierra.store.samples import Frame
 from sierra.store.segments import disk_errors
 from sierra.store.store import Store
 from sierra.util.hashing import sha256, short
@@ -83,7 +83,7 @@ def check(
     found, last = [], None
     if all(row.kind in without for row in deliverable_records.latest(store, batch)):
         return []  # a frame of 100,000 runs takes long, and much memory
-    with Frame(store, batch) as frame:
+    with BatchData(store, batch) as frame:
         known = _kinds(between, cache(partial(Gallery, project, store, frame, only=frame.names)))
         for row in deliverable_records.latest(frame, batch):
             if row.kind in without:

@@ -15,9 +15,9 @@ from pathlib import Path
 from sierra.errors import Damaged
 from sierra.execution.sessions import Session
 from sierra.store import deliverable_records, unfinished_files
+from sierra.store.batch_data import BatchData
 from sierra.store.lamport_clock import stamp
 from sierra.store.row_types import DeliverableRow
-from sierra.store.samples import Frame
 from sierra.store.segments import disk_errors
 from sierra.store.store import Store
 from sierra.util.fs import write_whole
@@ -46,7 +46,7 @@ class Content:
 class Recorder:
     """The records of a batch's deliverables. New ones are written to the store when it is closed."""
 
-    def __init__(self, store: Store, root: Path, batch: str, frame: Frame | None = None) -> None:
+    def __init__(self, store: Store, root: Path, batch: str, frame: BatchData | None = None) -> None:
         """`frame`: a state of the store that is open already, to read the last records from."""
         self._store, self._root, self._batch = store, root, batch
         self._latest = deliverable_records.latest(frame or store, batch)

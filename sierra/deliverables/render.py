@@ -16,15 +16,15 @@ from pathlib import Path
 from sierra.config.deliverable_tables import Figure, Format, TableForPaper
 from sierra.config.project_file import LoadedProject
 from sierra.config.validate import options
-from sierra.deliverables import bound, declared_tables, overlay
+from sierra.deliverables import bound, declared_tables, default_figures, overlay
 from sierra.deliverables.figures.drawing import Drawing, draw
 from sierra.deliverables.gallery import Gallery
 from sierra.deliverables.record import Content, Recorder, marked_folder, parsing
 from sierra.errors import DamagedFile, Missing, NotInstalled, SierraError
 from sierra.execution.batches_of_queries import BatchesOfQueries
+from sierra.store.batch_data import AllFailed, BatchData
 from sierra.store.layout import ProjectPaths
 from sierra.store.row_types import DeliverableRow
-from sierra.store.samples import AllFailed, Frame
 from sierra.store.store import Store
 from sierra.util.hashing import short
 
@@ -50,11 +50,11 @@ def figures(
     drawn: list[Path] = []
     notes: list[str] = []
     galleries: list[Gallery] = []
-    with Frame(store, batch) as frame:
+    with BatchData(store, batch) as frame:
         drawer = _Drawer(project, store, frame, again=again, formats=formats)
         if name not in project.config.paper_tables:
             gallery = Gallery(project, store, frame, name=name)
-            wanted, notes = gallery.wanted(name)
+            wanted, notes = default_figures.wanted(gallery, name)
             drawn, failed = _draw_each(drawer, wanted, gallery.drawing, strict=name is not None)
             notes += (*failed, *gallery.declared_notes, *gallery.time_notes.values())
             notes += gallery.models.notes([] if name else [*wanted])
@@ -70,7 +70,7 @@ def figures(
     return [*drawn, *written], notes
 
 
-def _is_of_others(table: TableForPaper, frame: Frame, project: LoadedProject, store: Store) -> bool:
+def _is_of_others(table: TableForPaper, frame: BatchData, project: LoadedProject, store: Store) -> bool:
     """Check if a table for papers is about a variable or an output that only other batches have."""
     variables = () if table.sql or table.across not in project.config.variables else (table.across,)
     return not table.query and bound.is_of_others(variables, table.table, project.config, store, frame)
@@ -142,7 +142,7 @@ def content(project: LoadedProject, store: Store, row: DeliverableRow, shared: C
             return _overlay(_galleries(project, store, batches, frames, word), row.name, fitting, word).content()
     if shared:
         return shared().drawing(row.name, figure).content()
-    with Frame(store, row.batch) as frame:
+    with BatchData(store, row.batch) as frame:
         only = {figure.table} if figure.table or figure.sql else None
         return Gallery(project, store, frame, only=only).drawing(row.name, figure).content()
 
@@ -170,7 +170,7 @@ def overlaid(
         tables, failed = _write_tables(drawer, project, store, batches, name, declared if name else bound.unbound(declared))
         if name in project.config.paper_tables:
             return tables, drawer.close()
-        wanted, notes = first.wanted(name, together=True)
+        wanted, notes = default_figures.wanted(first, name, together=True)
 
         def drawing(called: str, found: Figure) -> Drawing:
             figure = overlay.fitting(found, declared=bool(project.config.figures))
@@ -189,7 +189,7 @@ def overlaid(
 def _galleries(
     project: LoadedProject, store: Store, batches: Mapping[str, str], frames: ExitStack, word: overlay.Word
 ) -> dict[str, Gallery]:
-    opened = {name: frames.enter_context(Frame(store, batch)) for name, batch in batches.items()}
+    opened = {name: frames.enter_context(BatchData(store, batch)) for name, batch in batches.items()}
     if word == overlay.TARGET:
         return {name: Gallery(project.for_target(name), store, frame, name) for name, frame in opened.items()}
     return {name: Gallery(project, store, frame) for name, frame in opened.items()}
@@ -203,7 +203,7 @@ class _Drawer:
     """The writer of figures' files, which records them. Without `again`, it skips figures that it would only write again."""
 
     def __init__(
-        self, project: LoadedProject, store: Store, frame: Frame, *others: str, again: bool, formats: tuple[Format, ...]
+        self, project: LoadedProject, store: Store, frame: BatchData, *others: str, again: bool, formats: tuple[Format, ...]
     ) -> None:
         """`others`: further batches that the figures show. `formats`: empty for those that are declared."""
         self._recorder = Recorder(store, project.root, frame.batch, frame)

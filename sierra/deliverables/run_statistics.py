@@ -16,8 +16,8 @@ from sierra.stats import aggregate as stats
 from sierra.stats import survival
 from sierra.stats.comparison.model import RunValue
 from sierra.stats.selection import Selection
+from sierra.store.batch_data import BatchData
 from sierra.store.public_result import Result
-from sierra.store.samples import Frame
 from sierra.store.sql_names import column_names
 from sierra.store.store import Store
 from sierra.util.lazy_definitions import dataclass, replace
@@ -120,7 +120,7 @@ def statistics(
     others = [name for name in chosen if name not in survival.STATISTICS]
     selection = Selection.of(others, project.config.statistics) if chosen else None
     wanted = stats.USUAL if selection is None else selection
-    with Frame(store, batch) as frame:
+    with BatchData(store, batch) as frame:
         gallery = Gallery(project, store, frame, only={output})
         figure = Figure(table=output, column=(column,), where=where)
         samples = gallery.column(figure, measure=measure or "final")
@@ -129,7 +129,7 @@ def statistics(
         curves: dict[int, tuple[survival.Step, ...]] = {}
         notes: list[str] = []
         if measure == "time_to" and threshold is not None:
-            curves = {place: survival.curve(runs) for place, runs in survival.times(samples.frame, threshold).items()}
+            curves = {place: survival.curve(runs) for place, runs in survival.times(samples.column, threshold).items()}
         if measure == "time_to" and times is not None:
             table, text = survival.curves_table(curves), survival.statement()
         elif measure is None:
@@ -177,7 +177,7 @@ def of_tables(
     project: LoadedProject, store: Store, batch: str, output: str, columns: tuple[str, ...]
 ) -> tuple[str, tuple[str, ...]]:
     """Return the name of an output and its columns; without names, the only ones. Raises NotFound, UsageError."""
-    with Frame(store, batch) as frame:
+    with BatchData(store, batch) as frame:
         gallery = Gallery(project, store, frame, only={output} if output else frame.names)
         found = gallery.output(Figure(table=output, column=columns))
         return found.name, columns or (gallery.only_column(found),)
@@ -249,14 +249,14 @@ def values_of_runs(
     NotFound, UsageError.
     """
     _check_reduction(measure, threshold, None)
-    with Frame(store, batch) as frame:
+    with BatchData(store, batch) as frame:
         gallery = Gallery(project, store, frame, only={output} if output else frame.names)
         found = gallery.output(Figure(table=output, column=(column,) if column else ()), "table (--table)")
         chosen = column or gallery.only_column(found)
         measure = measure or ("mean" if gallery.takes_mean(found) else "final")
         offset = 0 if measure == "time_to" else frame.offset(found.name, chosen)
         samples = gallery.column(Figure(table=found.name, column=(chosen,), where=where), offset, measure)
-        rows = stats.values_of_runs(samples.frame, measure, threshold).to_pylist()
+        rows = stats.values_of_runs(samples.column, measure, threshold).to_pylist()
         seeds = frame.seeds()
         values: dict[int, list[RunValue]] = {ordinal: [] for ordinal in gallery.planned}
         for row in rows:
@@ -265,7 +265,7 @@ def values_of_runs(
                 seed = seeds[row["experiment"], row["run"]]
                 values[row["experiment"]].append(RunValue(seed, float(value), not row["never"]))
         notes = [*stats.left_out((), samples.coverage), *samples.about(measure)]
-        if not (samples.rate or offset) and measure != "time_to" and stats.may_be_rate(samples.frame, measure):
+        if not (samples.rate or offset) and measure != "time_to" and stats.may_be_rate(samples.column, measure):
             notes.append(
                 f"all values of {chosen} are 0 or 1 (to compare them as rates, {gallery.key_of_rates(found.name, chosen)})"
             )
@@ -305,7 +305,7 @@ def runs_over_time(
     """Return the runs of a batch at common times, which `grid` may give. Raises UsageError for an output without a time."""
     import numpy as np
 
-    with Frame(store, batch) as frame:
+    with BatchData(store, batch) as frame:
         gallery = Gallery(project, store, frame, only={output})
         found = gallery.output(Figure(table=output, column=(column,)))
         time = gallery.time(found)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from sierra.config.project_file import Project
 from sierra.errors import UsageError
-from sierra.store.samples import Frame
+from sierra.store.batch_data import BatchData
 from sierra.store.store import Store
 from sierra.templates.base import of_bytes
 from sierra.util.arrow_columns import numpy_of
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 
-def rates(given: float | str, project: Project, store: Store, frame: Frame) -> Mapping[int, float]:
+def rates(given: float | str, project: Project, store: Store, frame: BatchData) -> Mapping[int, float]:
     """Return the ticks per second of each experiment, by its position; `given` is the number, or an XPath of it in inputs.
 
     Raises UsageError if an input has no such number, or if runs of an experiment differ in it.

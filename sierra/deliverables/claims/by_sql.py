@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from sierra.config.claim_table import Claim
 from sierra.deliverables.claims.model import Found, Verdict
 from sierra.errors import SierraError
-from sierra.store.samples import Frame
+from sierra.store.batch_data import BatchData
 from sierra.store.several_batches import joined
 from sierra.store.sql_result import SqlValue
 from sierra.store.store import Store
@@ -60,7 +60,7 @@ def _runs(store: Store, claim: Claim, batches: Mapping[str, str]) -> int | Found
     counts: list[tuple[int, int]] = []
     reasons: list[str | None] = []
     for batch in batches.values():
-        with Frame(store, batch) as frame:
+        with BatchData(store, batch) as frame:
             counts += frame.counts().values()
             if ENDS.search(claim.sql):
                 counts += ((runs, 0) for ends in frame.accepted().values() for runs in ends.values())

@@ -25,7 +25,7 @@ from sierra.design.run_values import Declared
 from sierra.errors import SierraError, UsageError
 from sierra.execution import commands
 from sierra.provenance import referenced_files
-from sierra.store.samples import Frame
+from sierra.store.batch_data import BatchData
 from sierra.store.store import Store
 from sierra.util import bounded_program
 from sierra.util.fs import inside
@@ -43,7 +43,7 @@ SHOWN = 200
 
 
 def predict(
-    model: Model, project: LoadedProject, store: Store, frame: Frame, place: str
+    model: Model, project: LoadedProject, store: Store, frame: BatchData, place: str
 ) -> tuple[Mapping[str, Sequence[object]], Mapping[str, JsonView]]:
     """Return the table that a model's program prints, by column, and what it was made from, with hashes.
 

@@ -32,7 +32,7 @@ from sierra.deliverables.record import Content, origin_of
 from sierra.design.query.query_request import QueryRequest
 from sierra.errors import DamagedFile, SierraError, UsageError
 from sierra.execution.batches_of_queries import BatchesOfQueries, labelled
-from sierra.store.samples import Frame
+from sierra.store.batch_data import BatchData
 from sierra.store.store import Store
 from sierra.util.fs import fitting
 from sierra.util.hashing import digest
@@ -185,7 +185,7 @@ class Galleries:
 
     def of(self, batch: str) -> Gallery:
         if batch not in self._known:
-            frame = self._frames.enter_context(Frame(self._store, batch))
+            frame = self._frames.enter_context(BatchData(self._store, batch))
             self._known[batch] = Gallery(self._project, self._store, frame)
         return self._known[batch]
 

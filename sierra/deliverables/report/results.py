@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 
-from sierra.deliverables import comparison, declared_tables, paper_tables
+from sierra.deliverables import comparison, declared_tables, default_figures, paper_tables
 from sierra.deliverables.declared_tables import Made
 from sierra.deliverables.figures.base import made_by
 from sierra.deliverables.figures.drawing import Drawing, explorable
@@ -18,8 +18,8 @@ from sierra.deliverables.report.moving_pictures import Films
 from sierra.deliverables.report.parts import Place, Section, auto, details, note, picture, sql, table
 from sierra.errors import DamagedFile, Missing, NotInstalled, SierraError
 from sierra.store import deliverable_records
+from sierra.store.batch_data import AllFailed, BatchData
 from sierra.store.row_types import DeliverableRow
-from sierra.store.samples import AllFailed, Frame
 from sierra.util.hashing import short
 from sierra.util.html_elements import Markup, element, joined
 from sierra.util.lazy_definitions import dataclass, regex
@@ -61,9 +61,9 @@ def figures(state: BatchState, tell: Callable[[str], None]) -> Figures:
     """
     contents, failed = [], []
     libraries: set[str] = set()
-    with Frame(state.store, state.id) as frame:
+    with BatchData(state.store, state.id) as frame:
         gallery = Gallery(state.project, state.store, frame)
-        wanted, notes = gallery.wanted(None)
+        wanted, notes = default_figures.wanted(gallery, None)
         for number, (name, figure) in enumerate(wanted.items(), 1):
             tell(f"figure {number} of {len(wanted)}: {name}")
             try:

@@ -18,7 +18,7 @@ from sierra.extensions.videos.survey import Survey, survey
 from sierra.extensions.videos.table import Video
 from sierra.extensions.videos.tracks import frame_times, uneven
 from sierra.extensions.videos.two_batches import films_of_two
-from sierra.store.samples import AllFailed
+from sierra.store.batch_data import AllFailed
 from sierra.util.hashing import digest
 from sierra.util.json_types import JsonView
 from sierra.util.version import __version__

@@ -273,7 +273,7 @@ def test_work_in_python_is_stopped_inside(
 SLOW_OPENINGS = [
     ("query", "store.views.Views.settle", {"statement": "SELECT 1"}),
     ("tables", "store.store.Store.batch_id", {"batch": "0123"}),
-    ("batch", "store.samples.Frame._members", {"batch": "BATCH"}),
+    ("batch", "store.batch_data.BatchData._members", {"batch": "BATCH"}),
     ("batches", "execution.list_batches.batches", {}),
 ]
 
