@@ -17,9 +17,9 @@ from sierra.deliverables import comparison, comparison_figure, declared_tables, 
 from sierra.deliverables.comparison import Compared
 from sierra.deliverables.gallery import Gallery
 from sierra.deliverables.kinds import DeliverableKind
-from sierra.deliverables.record import ORIGIN, Content, hashes, other_version, parsing
+from sierra.deliverables.record import ORIGIN, Deliverable, hashes, other_version, parsing
 from sierra.deliverables.report import recorded as reports
-from sierra.deliverables.report.make import Source
+from sierra.deliverables.report.make import ReportSource
 from sierra.deliverables.report.results import REPORT
 from sierra.errors import ConfigError, DamagedFile, Missing, NotFound, SierraError
 from sierra.stats.comparison.model import VERSION
@@ -115,8 +115,8 @@ def find(project: LoadedProject, store: Store, file: Path, between: Between | No
 def _kinds(between: Between | None, gallery: Callable[[], Gallery] | None = None) -> Kinds:
     """Return the kinds; `gallery` returns the data of the batch if they serve several figures."""
 
-    def report(project: LoadedProject, store: Store, row: DeliverableRow) -> Content:
-        return reports.again(Source(project, store, between), row)
+    def report(project: LoadedProject, store: Store, row: DeliverableRow) -> Deliverable:
+        return reports.again(ReportSource(project, store, between), row)
 
     core = {
         render.KIND: DeliverableKind("figures", Figure, DRAW_AGAIN, partial(render.content, shared=gallery)),
@@ -130,7 +130,7 @@ def _kinds(between: Between | None, gallery: Callable[[], Gallery] | None = None
     return lambda kind: core.get(kind) or kinds.find(kind)
 
 
-def _numbers(project: LoadedProject, store: Store, row: DeliverableRow) -> Content:
+def _numbers(project: LoadedProject, store: Store, row: DeliverableRow) -> Deliverable:
     from sierra.deliverables.paper import bound_files
     from sierra.execution.batches_of_queries import BatchesOfQueries
 
@@ -183,7 +183,7 @@ def _problem(project: LoadedProject, store: Store, known: Kinds, row: Deliverabl
     return f"{changed}; {kind.remedy}" if changed else None
 
 
-def _changed(row: DeliverableRow, now: Content, kind: DeliverableKind) -> str:
+def _changed(row: DeliverableRow, now: Deliverable, kind: DeliverableKind) -> str:
     """Return what a deliverable would show otherwise now: its data, or any part of its definition; "" if nothing."""
     before = json.loads(row.definition)
     if now.data != row.data:

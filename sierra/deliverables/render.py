@@ -19,7 +19,7 @@ from sierra.config.validate import options
 from sierra.deliverables import bound, declared_tables, default_figures, overlay
 from sierra.deliverables.figures.drawing import Drawing, draw
 from sierra.deliverables.gallery import Gallery
-from sierra.deliverables.record import Content, Recorder, marked_folder, parsing
+from sierra.deliverables.record import Deliverable, Recorder, marked_folder, parsing
 from sierra.errors import DamagedFile, Missing, NotInstalled, SierraError
 from sierra.execution.batches_of_queries import BatchesOfQueries
 from sierra.store.batch_data import AllFailed, BatchData
@@ -126,7 +126,9 @@ def _draw_each(
     return drawn, failed
 
 
-def content(project: LoadedProject, store: Store, row: DeliverableRow, shared: Callable[[], Gallery] | None = None) -> Content:
+def content(
+    project: LoadedProject, store: Store, row: DeliverableRow, shared: Callable[[], Gallery] | None = None
+) -> Deliverable:
     """Return the content of a recorded figure by its definition and the data that the store has now.
 
     `shared` returns the data of the batch if they serve several figures; by default, only those of this figure are read.
@@ -217,7 +219,7 @@ class _Drawer:
         drawing = replace(drawing, formats=self._formats or drawing.figure.formats or self._declared)
         return self.keep(drawing.content(), partial(draw, drawing))
 
-    def keep(self, content: Content, write: Callable[[Path], tuple[Path, ...]]) -> tuple[Path, ...]:
+    def keep(self, content: Deliverable, write: Callable[[Path], tuple[Path, ...]]) -> tuple[Path, ...]:
         """Return the files of a deliverable, which `write` writes to a folder unless they are there already."""
         files = None if self._again else self._recorder.made(content)
         if files is None:

@@ -28,7 +28,7 @@ KEYS = ("experiment", "run")
 """The columns of results of `Needs.rows` that tell runs apart."""
 
 
-class Source(Protocol):
+class FigureSource(Protocol):
     """One output of one batch."""
 
     def check(self, columns: Sequence[str], *, numeric: bool) -> None:
@@ -132,7 +132,7 @@ def gather(
     figure: Figure,
     columns: tuple[str, ...],
     batch: Batch,
-    source: Source,
+    source: FigureSource,
     seen: stats.Coverage,
     rates: Container[str] = (),
     options: Mapping[str, RawTable] | None = None,
@@ -170,7 +170,7 @@ def gather(
     )
 
 
-def _seeded(runs: pa.Table, source: Source) -> pa.Table:
+def _seeded(runs: pa.Table, source: FigureSource) -> pa.Table:
     """Return the values of runs with their seeds."""
     seeds = source.seeds()
     keys = zip(runs.column("experiment").to_pylist(), runs.column("run").to_pylist(), strict=True)

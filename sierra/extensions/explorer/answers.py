@@ -41,7 +41,7 @@ from sierra.util.json_types import JsonView
 
 if TYPE_CHECKING:
     from sierra.deliverables.figures.drawing import Drawing
-    from sierra.deliverables.report.make import Source
+    from sierra.deliverables.report.make import ReportSource
     from sierra.store.sql_result import Answer, SqlValue
 
 ROWS = 1000
@@ -69,7 +69,7 @@ STOPPED = "stopped"
 class Answers:
     """The answers about one project or package."""
 
-    def __init__(self, source: Callable[[], Source], store: Store, *, writes: bool = False, wall: float = WALL_S) -> None:
+    def __init__(self, source: Callable[[], ReportSource], store: Store, *, writes: bool = False, wall: float = WALL_S) -> None:
         """`source` reads the project again. With `writes`, charts may be written to `sierra.toml`. `wall`: time limit, in s."""
         self._source = source
         self._opened = Opened()

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from sierra.deliverables import overlay
 from sierra.deliverables.gallery import Gallery
-from sierra.deliverables.record import Content
+from sierra.deliverables.record import Deliverable
 from sierra.extensions.videos.films import Film, Members, films
 from sierra.extensions.videos.progress import READ, Counter, Progress, no_progress
 from sierra.extensions.videos.subjects import Subject, subjects
@@ -62,7 +62,7 @@ class Prepared:
         """The number of frames of all files."""
         return sum(len(one.times) for one in self.films) * len(self.video.formats)
 
-    def content(self) -> Content:
+    def content(self) -> Deliverable:
         """Return everything that the files depend on."""
         shown: dict[str, JsonView] = {
             one.film.name: {
@@ -82,7 +82,7 @@ class Prepared:
         }
         sql = "\n\n".join(dict.fromkeys(one.subject.sql for one in self.films))
         own = self.name if len(self.batches) == 1 else overlay.name_of(self.name, self.batches)
-        return Content(KIND, own, tuple(self.batches.values()), definition, sql, self.data, _made_by())
+        return Deliverable(KIND, own, tuple(self.batches.values()), definition, sql, self.data, _made_by())
 
     @property
     def data(self) -> str:

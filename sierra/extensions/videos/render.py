@@ -14,7 +14,7 @@ from sierra.config.validate import options
 from sierra.deliverables import bound
 from sierra.deliverables.gallery import Gallery
 from sierra.deliverables.kinds import FilesOfPaper
-from sierra.deliverables.record import Content, Recorder, marked_folder, parsing
+from sierra.deliverables.record import Deliverable, Recorder, marked_folder, parsing
 from sierra.errors import DamagedFile, Missing, NotFound, NotInstalled, SierraError
 from sierra.execution import targets
 from sierra.execution.batches_of_queries import BatchesOfQueries
@@ -142,7 +142,7 @@ def _tables(wanted: Mapping[str, Video]) -> set[str] | None:
     return {video.table for video in wanted.values()} if known else None
 
 
-def content(project: LoadedProject, store: Store, row: DeliverableRow) -> Content:
+def content(project: LoadedProject, store: Store, row: DeliverableRow) -> Deliverable:
     """Return the content of a recorded video by its definition and the data that the store has now."""
     with parsing(row.name):
         definition = json.loads(row.definition)

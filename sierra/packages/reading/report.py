@@ -28,9 +28,9 @@ def write(package: Received, to: Path | None, tell: Callable[[str], None]) -> Wr
     return Written(file, tuple(made.batches), tuple(made.notes))
 
 
-def source(package: Received) -> make.Source:
+def source(package: Received) -> make.ReportSource:
     """Return what a report of a package is made from."""
-    return make.Source(package.project, package.store, received=_about(package), read=_from_archive(package))
+    return make.ReportSource(package.project, package.store, received=_about(package), read=_from_archive(package))
 
 
 def _about(package: Received) -> About:
