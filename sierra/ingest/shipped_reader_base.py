@@ -64,7 +64,7 @@ class TableReader:
             elif sound:
                 self.part = self.parts[place]
                 self.target = self._first.with_stem(f"{self._first.stem}~{place + 1}") if place else self._first
-                self._one(sound)
+                self._read_part(sound)
         ended = sum(file.ended for file in files if (file.execution, file.name) in self.rows)
         shape = self.shape
         nans = tuple(dict.fromkeys((*shape.nans, *sorted(self.nans))))
@@ -82,19 +82,23 @@ class TableReader:
             self.rows[file.execution, file.name] = 0
             self.columns[file.execution, file.name] = {}
 
-    def _one(self, files: Sequence[Written]) -> None:
+    def _read_part(self, files: Sequence[Written]) -> None:
         """Read the files of one part. Files that turn out to be at fault are left out."""
         while files:
             try:
-                self.one(files)
+                self.read_part(files)
             except AtFaultError as error:
                 for file, fault in error.faults:
                     self.fault(file, fault)
-                for file in files:
-                    self.hints.pop((file.execution, file.name), None)
+                self.forget_hints(files)
                 files = self.sound(files)
             else:
                 return
+
+    def forget_hints(self, files: Iterable[Written]) -> None:
+        """Forget the hints about files, which are written again."""
+        for file in files:
+            self.hints.pop((file.execution, file.name), None)
 
     def _miscounted(self, files: Sequence[Written], rows: Mapping[tuple[str, str], int]) -> Iterator[tuple[Written, str]]:
         """Yield the files whose own count differs from `rows`, each with an error message."""
@@ -122,7 +126,7 @@ class TableReader:
         """Return the columns (and the delimiter) of each valid file by its path; None if it has no rows and no columns."""
         raise NotImplementedError
 
-    def one(self, files: Sequence[Written]) -> None:
+    def read_part(self, files: Sequence[Written]) -> None:
         """Read the files of one part."""
         raise NotImplementedError
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -83,7 +84,7 @@ class Text(TableReader):
         """Return files that contradict themselves, each with an error message; `found`: their types by column and path."""
         return ()
 
-    def one(self, files: Sequence[Written]) -> None:
+    def read_part(self, files: Sequence[Written]) -> None:
         written = self._quickly_written(files, ROWS) if any(file.bytes > LARGE for file in files) else None
         written = written or self._quickly_written(files) or self._slowly_written(files)
         for target, some, kinds in written:
@@ -91,82 +92,90 @@ class Text(TableReader):
 
     def _quickly_written(self, files: Sequence[Written], rows: int | None = None) -> list[Target] | None:
         """Write files with the types of a few of them, inferred from so many rows; return None if they do not fit."""
-        try:
-            return self._exactly(files, self._quickly_seen(files, self.part.names, rows))
-        except (self.error, _MisreadError):
-            for file in files:
-                self.hints.pop((file.execution, file.name), None)
-            return None
+        with suppress(self.error):
+            if targets := self._exactly(files, self._quickly_seen(files, self.part.names, rows)):
+                return targets
+        self.forget_hints(files)
+        return None
 
     def _slowly_written(self, files: Sequence[Written]) -> list[Target]:
         """Write the valid files among these, some of which are faulty; return the same as `_write`."""
         names = self.part.names
-        texts = dict.fromkeys(names, "VARCHAR")
 
         def explain(file: Written, error: Exception) -> str:
-            return self.first_fault(file, names, texts) or first_line(error)
+            return self.first_fault(file, names, _texts(names)) or first_line(error)
 
-        self.halve(files, lambda some: self._try(some, names), explain)
+        self.halve(files, self._try, explain)
         files = self.sound(files)
         try:
-            return self._exactly(files, self._seen(files, names), by_text=True) if files else []
+            return (self._exactly(files, self._seen(files, names), by_text=True) or []) if files else []
         except self.error as error:
             for file in files:  # an error that a file shows alone may be hidden among many
-                self.halve([file], lambda some: self._try(some, names), explain)
+                self.halve([file], self._try, explain)
             sound = self.sound(files)
             if len(sound) == len(files):
                 raise self.unwritten(error) from error
             return self._slowly_written(sound)
 
-    def _exactly(self, files: Sequence[Written], found: Found, *, by_text: bool = False) -> list[Target]:
-        """Call `_write`, and keep whole numbers that DOUBLE cannot hold separate from other files' fractions."""
+    def _exactly(self, files: Sequence[Written], found: Found, *, by_text: bool = False) -> list[Target] | None:
+        """Call `_write` until no number is rounded; return None if a text that is not a number was written as one.
+
+        Whole numbers that DOUBLE cannot hold are kept separate from other files' fractions.
+        """
         apart: frozenset[str] = frozenset()
         while True:
-            try:
-                return self._write(files, found, apart, by_text=by_text)
-            except _RoundedError as error:
-                found = {**found, **{name: {**found[name], **seen} for name, seen in error.found.items()}}
-                apart |= error.found.keys()
+            targets, misread, rounded = self._write(files, found, apart, by_text=by_text)
+            if not misread and not rounded:
+                return targets
+            _delete(targets)
+            if misread:
+                return None
+            found = {**found, **{name: {**found[name], **kinds} for name, kinds in rounded.items()}}
+            apart |= rounded.keys()
 
     def _write(
-        self, files: Sequence[Written], found: Found, apart: frozenset[str] = frozenset(), *, by_text: bool = False
-    ) -> list[Target]:
-        """Write the files with the types that were found, and return the targets.
+        self, files: Sequence[Written], found: Found, apart: frozenset[str], *, by_text: bool
+    ) -> tuple[list[Target], bool, Found]:
+        """Write the files with the types that were found, a target for each kind of values, up to the first wrong target.
 
+        Return the targets, whether the last one is misread (see `_misread`), and the numbers that it rounds (see `_rounded`).
         `by_text`: also read numbers that DuckDB does not parse; this is slower.
         """
         if faults := list(self.contradictions(files, found)):
             raise AtFaultError(faults)
-        names = self.part.names
-        texts = dict.fromkeys(names, "VARCHAR")
         kept = self._kept(files, found)
-        written: list[Target] = []
+        targets: list[Target] = []
         try:
-            targets = self.targets()
-            usual = next(targets)
-            for some in alike(files, kept, apart):
+            paths = self.targets()
+            usual = next(paths)
+            for group in alike(files, kept, apart):
                 # executions that will hardly be effective go where SQL does not look for types (see `Views._holding`)
-                odd = any((file.execution, file.name) in self.hints for file in some)
-                target = next(targets) if odd or written else usual
-                types = {name: common(kept[name].get(file.path) for file in some) for name in names}
-                paths = {file.path for file in some}
-                nan = {name for name, path in self._with_nan if path in paths and is_whole(types[name])}
-                columns = {n: self._typed(f"t.c{place}", types[n], by_text, n in nan) for place, n in enumerate(names)}
-                for place, (name, stored) in enumerate(zip(names, stored_names(names), strict=True)):
-                    if types[name] == EXACT_TEXT:
-                        columns[text_beside(stored)] = f"trim({self.text(f't.c{place}')})"
-                written.append((target, some, kinds_of(some, types, found, kept)))
-                self.write(target, some, self.relation(names, texts if by_text else types), columns)
-                if not by_text and self._misread(target, some, names, types):
-                    raise _MisreadError
-                if rounded := self._rounded(target, some, types, found, apart):
-                    raise _RoundedError(rounded)
+                hinted = any((file.execution, file.name) in self.hints for file in group)
+                path = next(paths) if hinted or targets else usual
+                types = {name: common(kept[name].get(file.path) for file in group) for name in self.part.names}
+                targets.append((path, group, kinds_of(group, types, found, kept)))
+                nan = self._write_group(path, group, types, by_text=by_text)
+                if not by_text and self._misread(path, group, types):
+                    return targets, True, {}
+                if rounded := self._rounded(path, group, types, found, apart):
+                    return targets, False, rounded
                 self.nans |= nan
-        except (self.error, _MisreadError, _RoundedError, AtFaultError):
-            for target, _, _ in written:
-                target.unlink(missing_ok=True)
+        except (self.error, AtFaultError):
+            _delete(targets)
             raise
-        return written
+        return targets, False, {}
+
+    def _write_group(self, path: Path, files: Sequence[Written], types: Mapping[str, str], *, by_text: bool) -> set[str]:
+        """Write files whose columns have the same types; return the columns in which nan becomes a missing value."""
+        names = self.part.names
+        of_files = {file.path for file in files}
+        nan = {name for name, file in self._with_nan if file in of_files and is_whole(types[name])}
+        columns = {name: self._typed(f"t.c{i}", types[name], by_text, name in nan) for i, name in enumerate(names)}
+        for i, (name, stored) in enumerate(zip(names, stored_names(names), strict=True)):
+            if types[name] == EXACT_TEXT:
+                columns[text_beside(stored)] = f"trim({self.text(f't.c{i}')})"
+        self.write(path, files, self.relation(names, _texts(names) if by_text else types), columns)
+        return nan
 
     def _kept(self, files: Sequence[Written], found: Found) -> dict[str, Mapping[str, str | None]]:
         """Return the type in which each file's columns are kept: text among siblings that have text."""
@@ -200,12 +209,13 @@ class Text(TableReader):
 
     def _hint(self, file: Written, name: str) -> None:
         """Note the place where a file has text, if most of its siblings have numbers."""
-        types = dict.fromkeys(self.part.names, "VARCHAR") | {name: "DOUBLE"}
+        types = _texts(self.part.names) | {name: "DOUBLE"}
         if fault := self.first_fault(file, self.part.names, types):
             self.hints.setdefault((file.execution, file.name), {})[name] = f"{shown(file.name)}: {fault}"
 
-    def _misread(self, target: Path, files: Sequence[Written], names: Sequence[str], types: Mapping[str, str]) -> bool:
+    def _misread(self, target: Path, files: Sequence[Written], types: Mapping[str, str]) -> bool:
         """Check if a text that is not a number was written as one; search only if there is a sign of it."""
+        names = self.part.names
         doubles = [name for name in names if as_stored(types[name]) == "DOUBLE"]
         if not doubles or not files:
             return False
@@ -215,9 +225,8 @@ class Text(TableReader):
             files = [file for file in files if self.has_underscores(file)]
             if not files:
                 return False
-        places = {name: place for place, name in enumerate(names)}
-        relation = self.relation(names, dict.fromkeys(names, "VARCHAR"))
-        return self._any(odd("{}"), (f"c{places[name]}" for name in doubles), relation, these(files))
+        cells = (f"c{i}" for i, name in enumerate(names) if as_stored(types[name]) == "DOUBLE")
+        return self._any(odd("{}"), cells, self.relation(names, _texts(names)), these(files))
 
     def _rounded(
         self, target: Path, files: Sequence[Written], types: Mapping[str, str], found: Found, apart: Collection[str]
@@ -279,8 +288,9 @@ class Text(TableReader):
         missing = f"{cell} IS NULL" + f" OR isnan(TRY_CAST({as_read(cell)} AS DOUBLE))" * nan
         return f"CASE WHEN {missing} THEN NULL WHEN {sound} THEN {value} ELSE error('not {kind}') END"
 
-    def _try(self, files: Sequence[Written], names: Sequence[str]) -> None:
-        relation = self.relation(names, dict.fromkeys(names, "VARCHAR"))
+    def _try(self, files: Sequence[Written]) -> None:
+        """Parse all cells of the files. Raises DuckDB's error for files that it cannot parse."""
+        relation = self.relation(self.part.names, _texts(self.part.names))
         self.fetch(f"SELECT count(COLUMNS(*)) FROM {relation}", files)
 
     def _quickly_seen(
@@ -318,7 +328,7 @@ class Text(TableReader):
         `rows`: the number of rows that count; None: all.
         """
         wanted = names if wanted is None else wanted
-        relation = self.relation(names, dict.fromkeys(names, "VARCHAR"))
+        relation = self.relation(names, _texts(names))
         relation = relation if rows is None else f"(FROM {relation} LIMIT {rows})"
         places = {name: place for place, name in enumerate(names)}
         found: dict[str, dict[str, str | None]] = {name: {} for name in wanted}
@@ -342,17 +352,14 @@ class Text(TableReader):
         return kind
 
 
-class _MisreadError(Exception):
-    """The error that a text that is not a number was written as one."""
+def _texts(names: Sequence[str]) -> dict[str, str]:
+    """Return the type of texts for each column."""
+    return dict.fromkeys(names, "VARCHAR")
 
 
-class _RoundedError(Exception):
-    """The error that whole numbers were written as DOUBLE, which may not hold them exactly."""
-
-    def __init__(self, found: Found) -> None:
-        """`found`: the types by column and file."""
-        super().__init__()
-        self.found = found
+def _delete(targets: Iterable[Target]) -> None:
+    for path, _, _ in targets:
+        path.unlink(missing_ok=True)
 
 
 def alike(files: Sequence[Written], kept: Found, apart: Collection[str] = ()) -> list[list[Written]]:
