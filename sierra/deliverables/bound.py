@@ -28,17 +28,17 @@ def of_batch(declared: Mapping[str, B], queries: BatchesOfQueries, batch: str) -
 
     Also return notes on queries that are invalid.
     """
-    found, notes = {}, []
+    shown, notes = {}, []
     for name, declaration in declared.items():
         words = declaration.query
         try:
             if not words or (len(words) == 1 and batch in queries.last_of(words[0])):
-                found[name] = declaration
+                shown[name] = declaration
         except DamagedFile:
             raise
         except SierraError as error:
             notes.append(f"{name}: query: {error}")
-    return found, notes
+    return shown, notes
 
 
 def unbound(declared: Mapping[str, B]) -> dict[str, B]:

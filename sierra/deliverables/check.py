@@ -80,7 +80,7 @@ def check(
     `without` are kinds that are not checked. If a deliverable was made in several formats at different times, it is there for
     each time. Files that were not made the last time count only if they still exist.
     """
-    found, last = [], None
+    checked, last = [], None
     if all(row.kind in without for row in deliverable_records.latest(store, batch)):
         return []  # a frame of 100,000 runs takes long, and much memory
     with BatchData(store, batch) as frame:
@@ -91,8 +91,8 @@ def check(
             kept = row if last != (row.kind, row.name) else _existing(row, project.root)
             last = (row.kind, row.name)
             if kept.files:
-                found.append(Checked(row.kind, row.name, tuple(kept.files), _problem(project, store, known, kept)))
-    return found
+                checked.append(Checked(row.kind, row.name, tuple(kept.files), _problem(project, store, known, kept)))
+    return checked
 
 
 def find(project: LoadedProject, store: Store, file: Path, between: Between | None = None) -> ShownDeliverable:
@@ -163,11 +163,11 @@ def _existing(row: DeliverableRow, root: Path) -> DeliverableRow:
 
 def _problem(project: LoadedProject, store: Store, known: Kinds, row: DeliverableRow) -> str | None:
     """Return why a deliverable does not follow from the store any more, in one line; None if it follows."""
-    for file, recorded, found in zip(row.files, row.sha256s, hashes(project.root, row), strict=True):
-        if found is None:
+    for file, recorded, present in zip(row.files, row.sha256s, hashes(project.root, row), strict=True):
+        if present is None:
             return f"{file} is missing"
-        if found != recorded:
-            return f"{file} is not the file that SIERRA made (SHA-256 {found[:10]} instead of {recorded[:10]})"
+        if present != recorded:
+            return f"{file} is not the file that SIERRA made (SHA-256 {present[:10]} instead of {recorded[:10]})"
     kind = known(row.kind)
     if kind is None:
         return f"it can no longer be made: the extension that makes deliverables of kind {row.kind!r} is not installed"
@@ -192,7 +192,7 @@ def _changed(row: DeliverableRow, now: Deliverable, kind: DeliverableKind) -> st
     if changed_code := [text.partition(" ")[0] for text in now.made_by if CODE.fullmatch(text) and text not in row.made_by]:
         return f"{changed_code[0]} has changed since"
     definitions = before, json.loads(json.dumps(now.definition))
-    parts = zip(*(_parts(row.kind, kind.declaration, one) for one in definitions), strict=True)
+    parts = zip(*(_parts(row.kind, kind.declaration, definition) for definition in definitions), strict=True)
     changed = (name for old, new in parts for name in {**old, **new} if old.get(name) != new.get(name))
     differing = [name for name in dict.fromkeys(changed) if name not in NOT_SHOWN]
     return f"sierra.toml changes how it is made: it has another {' and another '.join(differing)} now" if differing else ""

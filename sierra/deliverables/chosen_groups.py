@@ -29,14 +29,14 @@ def values(key: str, words: Sequence[str], labels: Mapping[Value, Value]) -> tup
     """
     if not labels:
         raise NotFound(f"{key}: this batch has no {key}")
-    found: dict[Value, None] = {}
+    chosen: dict[Value, None] = {}
     for word in words:
         named = _values(word, labels)
         if not named:
             known = list(dict.fromkeys(str(text) for pair in labels.items() for text in pair))
             raise NotFound(f"{key}: this batch has no {KEYS[key]} {word!r}; {like(word, known)}")
-        found |= dict.fromkeys(named)
-    return tuple(found)
+        chosen |= dict.fromkeys(named)
+    return tuple(chosen)
 
 
 def _values(word: str, labels: Mapping[Value, Value]) -> list[Value]:

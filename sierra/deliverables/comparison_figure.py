@@ -108,7 +108,7 @@ def drawing_of(compared: Compared) -> Drawing:
         axes=(),
         cells={},
         tables={"": compared.arrow()},
-        rows={str(place): pa.table(band) for place, band in enumerate(bands)},
+        rows={str(number): pa.table(band) for number, band in enumerate(bands)},
         note=caption_of(compared),
         sql=f"-- comparison of {', '.join(compared.batches.values())}",
         batch=next(iter(compared.batches.values())),

@@ -98,18 +98,18 @@ def _rows(drawing: Drawing) -> list[dict[str, object]]:
 
 def _row(model: Predicted, ordinal: int, n: int, points: deviation.Points) -> dict[str, object]:
     row: dict[str, object] = {"model": model.name, "experiment": ordinal, "n": n, "compared": 0}
-    if (found := deviation.deviation(points)) is None:
+    if (deviations := deviation.deviation(points)) is None:
         return row
     return row | {
-        "compared": found.compared,
+        "compared": deviations.compared,
         "data": float(points.data.mean()),
         "predicted": float(points.predicted.mean()),
-        "bias": found.bias,
-        "rmse": found.rmse,
-        "largest": found.largest,
-        "at": found.at if isfinite(found.at) else None,
-        "inside": found.inside,
-        "intervals": found.intervals,
+        "bias": deviations.bias,
+        "rmse": deviations.rmse,
+        "largest": deviations.largest,
+        "at": deviations.at if isfinite(deviations.at) else None,
+        "inside": deviations.inside,
+        "intervals": deviations.intervals,
     }
 
 

@@ -241,22 +241,22 @@ class Gallery:
             batch = batch.in_order({name: [self._label(name, one) for one in order[name]] for name in order})
         self.note_rows(output, seen, figure.measure)
         rates = self.rates(output)
-        made = gather(name, figure, columns, batch, source, seen, rates, self.config.statistics)
-        of_values = (*self._rates_in(made, source, seen, rates), *self.about_digits(output.name, made.tables))
-        made = self.models.alone(model, made, source) if model else self.models.added(name, made, source)
+        drawing = gather(name, figure, columns, batch, source, seen, rates, self.config.statistics)
+        of_values = (*self._rates_in(drawing, source, seen, rates), *self.about_digits(output.name, drawing.tables))
+        drawing = self.models.alone(model, drawing, source) if model else self.models.added(name, drawing, source)
         units = self.units(output)
-        tables, models, note = made.tables, made.models, made.note
+        tables, models, note = drawing.tables, drawing.models, drawing.note
         per_second = (
             self.ticks_per_second(output.name) if tables and all("t" in one.column_names for one in tables.values()) else {}
         )
         if per_second:
             tables = {column: seconds.in_seconds(table, per_second) for column, table in tables.items()}
-            models = tuple(replace(one, table=seconds.in_seconds(one.table, per_second)) for one in made.models)
+            models = tuple(replace(one, table=seconds.in_seconds(one.table, per_second)) for one in drawing.models)
             note = "; ".join(text for text in (note, seconds.note(time, per_second)) if text)
             units[time] = "s"
         note = "; ".join(filter(None, (*self.target_notes, *self.row_notes.get(output.name, ()), note, *of_values)))
-        sql = "\n\n".join(filter(None, (self.frame.statements(output.name), made.sql)))
-        return replace(made, tables=tables, models=models, note=note, sql=sql, time=time or "row", units=units)
+        sql = "\n\n".join(filter(None, (self.frame.statements(output.name), drawing.sql)))
+        return replace(drawing, tables=tables, models=models, note=note, sql=sql, time=time or "row", units=units)
 
     def _chosen_groups(self, figure: Figure) -> dict[str, tuple[Value, ...]]:
         """Return the controllers and scenarios that a figure shows, in its order, by the name of the variable.
@@ -303,14 +303,14 @@ class Gallery:
             if self._time_kind(output, named or first):
                 self.time_notes[output.name] = clock_times.NOTE.format(time=named or first, table=output.name)
             return named or first
-        found = self.frame.shared_axis(output.name, output.columns) if output.rows > 1 else None
-        if found is None:
+        axis = self.frame.shared_axis(output.name, output.columns) if output.rows > 1 else None
+        if axis is None:
             return ""
         self.time_notes[output.name] = (
-            f"{found!r} is used as the time of output {output.name!r}, because it increases equally in all runs"
+            f"{axis!r} is used as the time of output {output.name!r}, because it increases equally in all runs"
             f' (to name another, set time = "COLUMN" in [outputs.{output.name}])'
         )
-        return found
+        return axis
 
     def note_rows(self, output: OutputTable, seen: stats.Coverage, measure: str = "final") -> None:
         """Note that row numbers are the time of an output with several rows in a run. SQL orders those of derived tables."""

@@ -65,7 +65,7 @@ def figures(
             declared = {called: table for called, table in declared.items() if not _is_of_others(table, frame, project, store)}
         written, failed = _write_tables(drawer, project, store, {short(batch): batch}, name, declared)
         notes += [f"table {note}" for note in invalid]
-    notes += (*(one for one in failed if one not in notes), *drawer.close())
+    notes += (*(problem for problem in failed if problem not in notes), *drawer.close())
     _check_models(name, *galleries)
     return [*drawn, *written], notes
 
@@ -92,8 +92,8 @@ def _write_tables(
             continue
         try:
             own = called if len(batches) == 1 else overlay.name_of(called, batches)
-            made = declared_tables.make(project, store, own, declared, batches)
-            written += drawer.keep(made.content(), made.write)
+            table = declared_tables.make(project, store, own, declared, batches)
+            written += drawer.keep(table.content(), table.write)
         except (DamagedFile, Missing):
             raise
         except SierraError as error:
@@ -136,8 +136,8 @@ def content(
     with parsing(row.name):
         definition = json.loads(row.definition)
         figure = options(Figure, definition["figure"], f"figure {row.name}, as it was recorded")
-    if found := overlay.together_in(definition):
-        word, names = found
+    if together := overlay.together_in(definition):
+        word, names = together
         with ExitStack() as frames:
             batches = dict(zip(names, row.batches, strict=True))
             fitting = overlay.fitting(figure, declared=True)

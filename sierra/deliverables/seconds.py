@@ -29,12 +29,12 @@ def rates(given: float | str, project: Project, store: Store, frame: BatchData) 
     """
     if not isinstance(given, str):
         return dict.fromkeys(frame.cells(), given)
-    found: dict[int, float] = {}
+    known: dict[int, float] = {}
     for ordinal, digest in frame.first_and_last_inputs():
         rate = _read(given, project, store.object(digest))
-        if found.setdefault(ordinal, rate) != rate:
-            raise UsageError(f"ticks_per_second: runs of an experiment have {found[ordinal]:g} and {rate:g}; use units instead")
-    return found
+        if known.setdefault(ordinal, rate) != rate:
+            raise UsageError(f"ticks_per_second: runs of an experiment have {known[ordinal]:g} and {rate:g}; use units instead")
+    return known
 
 
 def in_seconds(table: pa.Table, per_second: Mapping[int, float]) -> pa.Table:

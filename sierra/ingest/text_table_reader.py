@@ -117,33 +117,33 @@ class Text(TableReader):
                 raise self.unwritten(error) from error
             return self._slowly_written(sound)
 
-    def _exactly(self, files: Sequence[Written], found: Found, *, by_text: bool = False) -> list[Target] | None:
+    def _exactly(self, files: Sequence[Written], assumed: Found, *, by_text: bool = False) -> list[Target] | None:
         """Call `_write` until no number is rounded; return None if a text that is not a number was written as one.
 
         Whole numbers that DOUBLE cannot hold are kept separate from other files' fractions.
         """
         apart: frozenset[str] = frozenset()
         while True:
-            targets, misread, rounded = self._write(files, found, apart, by_text=by_text)
+            targets, misread, rounded = self._write(files, assumed, apart, by_text=by_text)
             if not misread and not rounded:
                 return targets
             _delete(targets)
             if misread:
                 return None
-            found = {**found, **{name: {**found[name], **kinds} for name, kinds in rounded.items()}}
+            assumed = {**assumed, **{name: {**assumed[name], **kinds} for name, kinds in rounded.items()}}
             apart |= rounded.keys()
 
     def _write(
-        self, files: Sequence[Written], found: Found, apart: frozenset[str], *, by_text: bool
+        self, files: Sequence[Written], assumed: Found, apart: frozenset[str], *, by_text: bool
     ) -> tuple[list[Target], bool, Found]:
         """Write the files with the types that were found, a target for each kind of values, up to the first wrong target.
 
         Return the targets, whether the last one is misread (see `_misread`), and the numbers that it rounds (see `_rounded`).
         `by_text`: also read numbers that DuckDB does not parse; this is slower.
         """
-        if faults := list(self.contradictions(files, found)):
+        if faults := list(self.contradictions(files, assumed)):
             raise AtFaultError(faults)
-        kept = self._kept(files, found)
+        kept = self._kept(files, assumed)
         targets: list[Target] = []
         try:
             paths = self.targets()
@@ -153,11 +153,11 @@ class Text(TableReader):
                 hinted = any((file.execution, file.name) in self.hints for file in group)
                 path = next(paths) if hinted or targets else usual
                 types = {name: common(kept[name].get(file.path) for file in group) for name in self.part.names}
-                targets.append((path, group, kinds_of(group, types, found, kept)))
+                targets.append((path, group, kinds_of(group, types, assumed, kept)))
                 nan = self._write_group(path, group, types, by_text=by_text)
                 if not by_text and self._misread(path, group, types):
                     return targets, True, {}
-                if rounded := self._rounded(path, group, types, found, apart):
+                if rounded := self._rounded(path, group, types, assumed, apart):
                     return targets, False, rounded
                 self.nans |= nan
         except (self.error, AtFaultError):
@@ -177,20 +177,20 @@ class Text(TableReader):
         self.write(path, files, self.relation(names, _texts(names) if by_text else types), columns)
         return nan
 
-    def _kept(self, files: Sequence[Written], found: Found) -> dict[str, Mapping[str, str | None]]:
+    def _kept(self, files: Sequence[Written], assumed: Found) -> dict[str, Mapping[str, str | None]]:
         """Return the type in which each file's columns are kept: text among siblings that have text."""
         doubtful = [
             name
-            for name, seen in found.items()
+            for name, seen in assumed.items()
             if name in self.siblings.mixed or len({sibling_kind(kind) for kind in seen.values() if kind}) > 1
         ]
-        doubtful = [name for name in doubtful if any(kind not in (None, "VARCHAR") for kind in found[name].values())]
-        kept = dict(found)
+        doubtful = [name for name in doubtful if any(kind not in (None, "VARCHAR") for kind in assumed[name].values())]
+        kept = dict(assumed)
         if not doubtful:
             return kept
         groups, votes = self.siblings.ask([file.run for file in files])
         for name in doubtful:
-            seen = found[name]
+            seen = assumed[name]
             counts: dict[Group, Counter[str]] = {}
             for file in files:
                 if kind := seen.get(file.path):
@@ -229,12 +229,12 @@ class Text(TableReader):
         return self._any(odd("{}"), cells, self.relation(names, _texts(names)), these(files))
 
     def _rounded(
-        self, target: Path, files: Sequence[Written], types: Mapping[str, str], found: Found, apart: Collection[str]
+        self, target: Path, files: Sequence[Written], types: Mapping[str, str], assumed: Found, apart: Collection[str]
     ) -> Found:
         """Return the types by column and file for columns of large numbers that were written as DOUBLE.
 
         These are columns in which a file has only whole numbers although its type was assumed to be DOUBLE, because of other
-        files or of its first rows, or in which a file has both. `found`: the types that were assumed.
+        files or of its first rows, or in which a file has both. `assumed`: the types of columns that were assumed.
         """
         stored = dict(zip(self.part.names, stored_names(self.part.names), strict=True))
         doubles = [name for name, kind in types.items() if kind == "DOUBLE"]
@@ -250,7 +250,7 @@ class Text(TableReader):
             n: kinds
             for n, kinds in seen.items()
             if EXACT_TEXT in kinds.values() or any(map(is_whole, filter(None, kinds.values())))
-            if n not in apart or not kinds.items() <= found[n].items()
+            if n not in apart or not kinds.items() <= assumed[n].items()
         }
 
     def _any(self, condition: str, cells: Iterable[str], relation: str, given: Mapping[str, list[str]]) -> bool:
@@ -300,25 +300,25 @@ class Text(TableReader):
 
         `rows`: the number of rows of each of these few files that are used; None: all.
         """
-        sample = [files[place] for place in sorted({0, len(files) // 2, len(files) - 1})]
+        sample = [files[index] for index in sorted({0, len(files) // 2, len(files) - 1})]
         if rows is None:
-            found = self._seen(sample, names)
+            inferred = self._seen(sample, names)
             if len(sample) == len(files):
-                return found
+                return inferred
         else:
             parts = [self._seen([file], names, rows=rows) for file in sample]
-            found = {name: {path: kind for part in parts for path, kind in part[name].items()} for name in names}
+            inferred = {name: {path: kind for part in parts for path, kind in part[name].items()} for name in names}
         doubtful = []
         alike: dict[str, dict[str, str | None]] = {}
         for name in names:
-            kinds = {kind for kind in found[name].values() if kind}
+            kinds = {kind for kind in inferred[name].values() if kind}
             exact = EXACT_TEXT in kinds or any((name, file.path) in self._with_nan for file in sample)
             if len(set(map(kind_of, kinds))) != 1 or "VARCHAR" in kinds or exact or name in self.siblings.mixed:
                 doubtful.append(name)
             else:
                 kind = common(kinds)
-                found[name] = alike.get(kind) or alike.setdefault(kind, {file.path: kind for file in files})
-        return found | (self._seen(files, names, doubtful) if doubtful else {})
+                inferred[name] = alike.get(kind) or alike.setdefault(kind, {file.path: kind for file in files})
+        return inferred | (self._seen(files, names, doubtful) if doubtful else {})
 
     def _seen(
         self, files: Sequence[Written], names: Sequence[str], wanted: Sequence[str] | None = None, rows: int | None = None
@@ -330,16 +330,16 @@ class Text(TableReader):
         wanted = names if wanted is None else wanted
         relation = self.relation(names, _texts(names))
         relation = relation if rows is None else f"(FROM {relation} LIMIT {rows})"
-        places = {name: place for place, name in enumerate(names)}
-        found: dict[str, dict[str, str | None]] = {name: {} for name in wanted}
+        places = {name: index for index, name in enumerate(names)}
+        types: dict[str, dict[str, str | None]] = {name: {} for name in wanted}
         cells = ", ".join(f"c{places[name]}" for name in wanted)
         each = f"(SELECT {identifier(FILE)}, unnest([{cells}]) AS cell, unnest(range({len(wanted)})) AS place FROM {relation})"
         bits = bit("cell", as_written=self.as_written, times=self.times)
-        for path, place, seen in self.fetch(
+        for path, index, seen in self.fetch(
             f"SELECT {identifier(FILE)}, place, bit_or({bits}) FROM {each} GROUP BY 1, 2", files
         ):
-            found[wanted[place]][path] = self._type(wanted[place], path, seen or 0)
-        return found
+            types[wanted[index]][path] = self._type(wanted[index], path, seen or 0)
+        return types
 
     def _type(self, name: str, path: str, bits: int) -> str | None:
         """Return the narrowest type of a file's column, and note if nan is a missing value in it."""
@@ -384,14 +384,14 @@ def alike(files: Sequence[Written], kept: Found, apart: Collection[str] = ()) ->
     return sorted(sorts.values(), key=lambda some: -len(some))
 
 
-def kinds_of(files: Sequence[Written], types: Mapping[str, str], found: Found, kept: Found) -> dict[str, dict[str, str]]:
+def kinds_of(files: Sequence[Written], types: Mapping[str, str], assumed: Found, kept: Found) -> dict[str, dict[str, str]]:
     """Return the kind of each column in each file, marked if it is kept as text."""
     by_file = {}
     same: dict[tuple[str, ...], dict[str, str]] = {}
     for file in files:
         mine = {}
         for name in types:
-            kind = found[name].get(file.path)
+            kind = assumed[name].get(file.path)
             as_text = kind not in (None, "VARCHAR") and kept[name].get(file.path) == "VARCHAR"
             mine[name] = sibling_kind(kind or EMPTY) + AS_TEXT * as_text
         by_file[file.path] = same.setdefault(tuple(mine.values()), mine)

@@ -312,7 +312,7 @@ class BatchData:
         with disk_errors(self._folder):
             self._folder.mkdir(exist_ok=True)
             folder = self._closing.enter_context(scratch(self._folder, "frame-"))
-        paths = [folder / f"{place}{PurePosixPath(file.path).suffix.lower()}" for place, file in enumerate(files)]
+        paths = [folder / f"{number}{PurePosixPath(file.path).suffix.lower()}" for number, file in enumerate(files)]
         places = {id(file): path for file, path in zip(files, paths, strict=True)}
         for content in contents(self._snapshot, files):
             with disk_errors(folder), places[id(content.file)].open("wb") as written:
@@ -401,35 +401,35 @@ class BatchData:
     def _derived_output(self, name: str) -> OutputTable | None:
         """Return a derived table, if it can be used for statistics; else None, and remember why not."""
         try:
-            made = self._derived(name)
+            derived = self._derived(name)
         except (Damaged, Missing):
             raise
         except SierraError as error:
             self.problems[name] = error
             return None
         hidden = {*NO_VALUES, *(axis.lower() for axis in self.axis_names)}
-        columns = {column: kind for column, kind in made.columns.items() if column.lower() not in hidden}
+        columns = {column: kind for column, kind in derived.columns.items() if column.lower() not in hidden}
         numeric, flags = _numeric_and_flags(columns)
         others = {column: kind for column, kind in columns.items() if column not in numeric}
         sizes = f"SELECT count(*) AS rows FROM {identifier(name)} GROUP BY run"
         [(rows, fewest)] = self._snapshot.run(f"SELECT max(rows), min(rows) FROM ({sizes})")
-        return OutputTable(name, numeric, tuple(columns), rows, 1, (), flags, fewest, others, unordered=not made.ordered)
+        return OutputTable(name, numeric, tuple(columns), rows, 1, (), flags, fewest, others, unordered=not derived.ordered)
 
     def _derived(self, name: str) -> Made:
         """Return a derived table after checking that its rows belong to runs of the batch. Raises SierraError."""
-        made = self._snapshot.derived.make(name)
+        derived = self._snapshot.derived.make(name)
         origin = self._snapshot.derived.definitions[name.lower()].origin
-        if "run" not in map(str.lower, made.columns):
+        if "run" not in map(str.lower, derived.columns):
             raise NoRuns(
                 f"{origin}: it has no column 'run', so there are no statistics over runs; add run to its SELECT (and GROUP BY)"
             )
-        if not made.rows:
+        if not derived.rows:
             raise SierraError(f"{origin}: its statement returns no rows for batch {self.batch[:10]}")
         others = f"SELECT run FROM {identifier(name)} WHERE run IS NULL OR run::VARCHAR NOT IN (SELECT run FROM wanted) LIMIT 1"
         for (run,) in self._snapshot.run(others):
             which = "without a run" if run is None else f"of {str(run)[:20]!r}, which is no run of batch {self.batch[:10]}"
             raise UsageError(f"{origin}: it has a row {which}; its column 'run' must be that of the runs")
-        return made
+        return derived
 
     def _files_of(self, table: str) -> list[str]:
         """Return the files of an output; a derived table has none. Raises NotFound."""
@@ -538,15 +538,15 @@ class BatchData:
         kind, data = self._type(table, time), self.rows(table)
         if not kind or re.fullmatch(NUMERIC, kind):
             return None
-        found = clock_times.kind_of(self._snapshot.run, data, time, kind)
-        if found is None:
+        form = clock_times.kind_of(self._snapshot.run, data, time, kind)
+        if form is None:
             [(example,)] = self._snapshot.run(f"SELECT min({identifier(time)})::VARCHAR FROM {data}")
             raise NotFound(
                 f"output {table!r}: its time {time!r} has {'no value' if example is None else f'values such as {example!r}'}, "
                 f"which are neither numbers nor times; name another column (time in [outputs.{table}]), or let the run write "
                 "seconds, 00:00:10 or 2024-05-01T10:00:00"
             )
-        return found
+        return form
 
     def _seconds(self, table: str, time: str) -> str:
         """Return the name of a column of the table's rows that has the seconds of a time that is no number."""
@@ -574,12 +574,12 @@ class BatchData:
         try:
             if self._snapshot.run(rounded_times.SHARED.format(rows=rows))[0][0] in (True, None):
                 return time
-            found = self._snapshot.connection.sql(rounded_times.STEPS.format(rows=rows)).to_arrow_table()
+            steps = self._snapshot.connection.sql(rounded_times.STEPS.format(rows=rows)).to_arrow_table()
         except Damaged:
             raise
         except Exception as error:
             raise NotFound(f"output {table!r}, time {time}: {explain(error)}") from error
-        same = dict(rounded_times.same(numpy_of(found.column("t")), numpy_of(found.column("step"))))
+        same = dict(rounded_times.same(numpy_of(steps.column("t")), numpy_of(steps.column("step"))))
         if not same:
             return time
         name = f"times {len(self._computed)}"
@@ -727,11 +727,11 @@ class BatchData:
         own = ", ".join(f"o.{key}" for key in keys)
         run("CREATE TEMP TYPE IF NOT EXISTS run_name AS ENUM (SELECT DISTINCT run FROM membership ORDER BY run)")
         run(f"CREATE OR REPLACE TEMP TABLE spans AS {SPANS.format(keys=', '.join(keys), source=source.sql)}")
-        place = 'o.file_row_number - s."# first"'
+        row_number = 'o.file_row_number - s."# first"'
         if not run('SELECT bool_and("# together") FROM spans')[0][0]:
-            place = f'row_number() OVER (PARTITION BY {own}, s."# experiment" ORDER BY o.filename, o.file_row_number) - 1'
+            row_number = f'row_number() OVER (PARTITION BY {own}, s."# experiment" ORDER BY o.filename, o.file_row_number) - 1'
         run(
-            f'CREATE TEMP TABLE {rows} AS SELECT s."# experiment", s."# number", {place} AS "# place", '
+            f'CREATE TEMP TABLE {rows} AS SELECT s."# experiment", s."# number", {row_number} AS "# place", '
             'o.* EXCLUDE (execution, filename, file_row_number) REPLACE (s."# run" AS run) '
             f"FROM {source.sql} o JOIN spans s ON {' AND '.join(f'o.{key} = s.{key}' for key in keys)}"
         )

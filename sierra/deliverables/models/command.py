@@ -140,8 +140,8 @@ def _parsed(printed: bytes) -> dict[str, Sequence[object]]:
     names = [name.strip() for name in header]
     if len(set(names)) < len(names):
         raise UsageError(f"it printed two columns of one name: {', '.join(map(one_line, names))}")
-    for place, row in enumerate(rows, 2):
+    for line, row in enumerate(rows, 2):
         if len(row) != len(names):
-            raise UsageError(f"row {place} of its CSV has {len(row)} values, but the header has {len(names)}")
+            raise UsageError(f"row {line} of its CSV has {len(row)} values, but the header has {len(names)}")
     columns = zip(*rows, strict=True) if rows else [()] * len(names)
     return {name: [value.strip() for value in column] for name, column in zip(names, columns, strict=True)}

@@ -47,30 +47,30 @@ class Models:
 
     def added(self, name: str, drawing: Drawing, data: OutputRows) -> Drawing:
         """Return the drawing of a figure with the models that join it, before its times become seconds."""
-        found, problems = self._of_figure(name, drawing, data)
-        if not found and not problems:
+        shown, problems = self._of_figure(name, drawing, data)
+        if not shown and not problems:
             return drawing
         self.failed |= problems
-        self._notes |= dict.fromkeys(filter(None, (one.problem for one in found)))
+        self._notes |= dict.fromkeys(filter(None, (model.problem for model in shown)))
         lost = [f"without model {called}, which failed" for called in problems]
-        texts = [f"-- model {one.name}\n{one.text}" for one in found]
+        texts = [f"-- model {model.name}\n{model.text}" for model in shown]
         return replace(
             drawing,
-            models=tuple(found),
+            models=tuple(shown),
             failed_models=problems,
-            note="; ".join(filter(None, (drawing.note, *(one.note for one in found), *lost))),
+            note="; ".join(filter(None, (drawing.note, *(model.note for model in shown), *lost))),
             sql="\n\n".join(filter(None, (drawing.sql, *texts))),
         )
 
     def _of_figure(self, name: str, drawing: Drawing, data: OutputRows) -> tuple[list[Predicted], dict[str, str]]:
         """Return the models that join a figure, and why others cannot."""
-        found: list[Predicted] = []
+        shown: list[Predicted] = []
         problems: dict[str, str] = {}
         for called, model in self.declared.items():
             try:
                 if not self._joins(called, model, name, drawing, data):
                     continue
-                found.append(self._predicted(called, model, drawing, data))
+                shown.append(self._predicted(called, model, drawing, data))
             except (DamagedFile, Missing):
                 raise
             except SierraError as error:
@@ -78,7 +78,7 @@ class Models:
                 if not isinstance(error, NotVaried):
                     problems[called] = str(error)
             self._joined.add(called)
-        return found, problems
+        return shown, problems
 
     @property
     def declared(self) -> Mapping[str, Model]:
@@ -107,10 +107,10 @@ class Models:
                 self._made[name, time] = self._make(name, self.declared[name], time)
             except SierraError as error:
                 self._made[name, time] = error
-        found = self._made[name, time]
-        if isinstance(found, SierraError):
-            raise found
-        return found
+        prediction = self._made[name, time]
+        if isinstance(prediction, SierraError):
+            raise prediction
+        return prediction
 
     def _make(self, name: str, model: Model, time: str) -> Prediction:
         from sierra.deliverables.models import command
@@ -129,9 +129,9 @@ class Models:
             table = {column: rows.column(column).to_pylist() for column in rows.column_names}
             text = self._frame.statements(definition.name)
             facts = {"sql": definition.sql}
-        found, over_time, notes = predictions.listed(table, model.column, cells, time, variables)
+        listed, over_time, notes = predictions.listed(table, model.column, cells, time, variables)
         self._notes |= dict.fromkeys(f"model {name}: {note}" for note in notes)
-        return Listed(found, over_time, text, facts)
+        return Listed(listed, over_time, text, facts)
 
     def _joins(self, name: str, model: Model, figure_name: str, drawing: Drawing, data: OutputRows) -> bool:
         """Return whether a model joins a figure. Raises UsageError if it names the figure, but cannot be drawn in it."""
