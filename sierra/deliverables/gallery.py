@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from sierra.config.deliverable_tables import Figure
 from sierra.config.output_tables import Output, volatile_and_rates
 from sierra.config.project_file import LoadedProject
-from sierra.deliverables import bound, chosen_groups, seconds, suggest_tables
+from sierra.deliverables import bound, seconds, suggest_tables
 from sierra.deliverables.figures.base import kind_of
 from sierra.deliverables.figures.drawing import Drawing
 from sierra.deliverables.figures.gather import Batch, OutputRows, gather
@@ -264,13 +264,12 @@ class Gallery:
         Raises NotFound for one that this batch does not have.
         """
         raw = {axis.name: axis.values for axis in self.frame.axes()}
-        groups = {}
-        for key, words in chosen_groups.of(figure).items():
-            name = chosen_groups.KEYS[key]
-            known = raw.get(name) or self._only(name)
-            chosen = chosen_groups.values(key, words, {value: self._label(name, value) for value in known})
-            if name in raw:
-                groups[name] = chosen
+        groups: dict[str, tuple[Value, ...]] = {}
+        for name, words in (("controller", figure.controllers), ("scenario", figure.scenarios)):
+            if words:
+                known = raw.get(name) or self._only(name)
+                chosen = _chosen_values(name, words, {value: self._label(name, value) for value in known})
+                groups |= {name: chosen} if name in raw else {}
         return groups
 
     def _only(self, name: str) -> tuple[Value, ...]:
@@ -281,10 +280,10 @@ class Gallery:
     def _experiments_of(self, groups: Mapping[str, Sequence[Value]]) -> tuple[int, ...]:
         """Return the positions of the experiments with these values of variables."""
         cells = self.frame.cells().items()
-        found = tuple(ordinal for ordinal, cell in cells if all(cell[name] in values for name, values in groups.items()))
-        if not found:
+        ordinals = tuple(ordinal for ordinal, cell in cells if all(cell[name] in values for name, values in groups.items()))
+        if not ordinals:
             raise NotFound(f"no experiment of this batch has {' and '.join(f'one of the chosen {name}s' for name in groups)}")
-        return found
+        return ordinals
 
     def time(self, output: OutputTable) -> str:
         """Return the name of the time column; "" if there is none.
@@ -454,3 +453,27 @@ class Gallery:
 
     def _with_labels(self, values: Mapping[str, Value]) -> Mapping[str, Value]:
         return {name: self._label(name, value) for name, value in values.items()}
+
+
+def _chosen_values(variable: str, words: Sequence[str], labels: Mapping[Value, Value]) -> tuple[Value, ...]:
+    """Return the controllers or scenarios that words stand for, in the order of the words, each once.
+
+    A word is a name, a label, or a category: `depth0` stands for all names that begin with `depth0.`. `labels` has the label of
+    each value. Raises NotFound for a word that stands for no value.
+    """
+    if not labels:
+        raise NotFound(f"{variable}s: this batch has no {variable}s")
+    chosen: dict[Value, None] = {}
+    for word in words:
+        if not (named := _named(word, labels)):
+            known = list(dict.fromkeys(str(text) for pair in labels.items() for text in pair))
+            raise NotFound(f"{variable}s: this batch has no {variable} {word!r}; {like(word, known)}")
+        chosen |= dict.fromkeys(named)
+    return tuple(chosen)
+
+
+def _named(word: str, labels: Mapping[Value, Value]) -> list[Value]:
+    if word in labels:
+        return [word]
+    of_label = [value for value, label in labels.items() if label == word]
+    return of_label or [value for value in labels if str(value).startswith(f"{word}.")]
