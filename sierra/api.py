@@ -1631,7 +1631,7 @@ class Project:
 
         if every and words:
             raise UsageError("--all is about all batches; leave out the others")
-        source = make.Source(self._loaded, self.store, self.compare_declared)
+        source = make.ReportSource(self._loaded, self.store, self.compare_declared)
         batches = [one.batch for one in reversed(self.batches)] if every else [self._labelled_batch(word)[1] for word in words]
         batches = list(dict.fromkeys(batches)) or [self.batch()]
         if to is not None:

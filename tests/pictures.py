@@ -20,7 +20,7 @@ from sierra.config import project_file
 from sierra.config.deliverable_tables import Figure
 from sierra.deliverables.figures.drawing import Drawing, draw
 from sierra.deliverables.gallery import Gallery
-from sierra.store.samples import Frame
+from sierra.store.batch_data import BatchData
 from tests import architecture, projects
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -130,7 +130,7 @@ def drawings(folder: Path) -> Iterator[dict[str, Drawing]]:
     root = projects.make(folder, CONFIG, simulator=SIMULATOR)
     project = sierra.open(root)
     batch = project.run(*QUERY, runs=RUNS, figures=False).batch
-    with Frame(project.store, batch) as frame:
+    with BatchData(project.store, batch) as frame:
         gallery = Gallery(project_file.load(root), project.store, frame)
         yield {name: gallery.drawing(name, figure) for name, figure in declared().items()}
 

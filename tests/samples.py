@@ -44,5 +44,5 @@ class Memory:
         return self.connection.sql(text, params=params).to_arrow_table()
 
 
-def samples(frame: stats.Frame, *, rate: bool = False) -> stats.Samples:
-    return stats.Samples(frame, stats.coverage(frame), rate)
+def samples(column: stats.Column, *, rate: bool = False) -> stats.ColumnStatistics:
+    return stats.ColumnStatistics(column, stats.coverage(column), rate)

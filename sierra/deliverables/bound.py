@@ -8,7 +8,7 @@ from typing import Protocol, TypeVar
 from sierra.config.project_file import Project
 from sierra.errors import DamagedFile, SierraError
 from sierra.execution.batches_of_queries import BatchesOfQueries
-from sierra.store.samples import Frame
+from sierra.store.batch_data import BatchData
 from sierra.store.store import Store
 
 
@@ -28,17 +28,17 @@ def of_batch(declared: Mapping[str, B], queries: BatchesOfQueries, batch: str) -
 
     Also return notes on queries that are invalid.
     """
-    found, notes = {}, []
+    shown, notes = {}, []
     for name, declaration in declared.items():
         words = declaration.query
         try:
             if not words or (len(words) == 1 and batch in queries.last_of(words[0])):
-                found[name] = declaration
+                shown[name] = declaration
         except DamagedFile:
             raise
         except SierraError as error:
             notes.append(f"{name}: query: {error}")
-    return found, notes
+    return shown, notes
 
 
 def unbound(declared: Mapping[str, B]) -> dict[str, B]:
@@ -46,7 +46,7 @@ def unbound(declared: Mapping[str, B]) -> dict[str, B]:
     return {name: declaration for name, declaration in declared.items() if not declaration.query}
 
 
-def is_of_others(variables: Iterable[str], table: str, config: Project, store: Store, frame: Frame) -> bool:
+def is_of_others(variables: Iterable[str], table: str, config: Project, store: Store, frame: BatchData) -> bool:
     """Check if a declaration without a query is about a variable or an output that only other batches have."""
     groups = {"controller": config.controllers, "scenario": config.scenarios}
     known = {*config.variables, *(name for name, declared in groups.items() if declared)}

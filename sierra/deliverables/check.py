@@ -17,15 +17,15 @@ from sierra.deliverables import comparison, comparison_figure, declared_tables, 
 from sierra.deliverables.comparison import Compared
 from sierra.deliverables.gallery import Gallery
 from sierra.deliverables.kinds import DeliverableKind
-from sierra.deliverables.record import ORIGIN, Content, hashes, other_version, parsing
+from sierra.deliverables.record import ORIGIN, Deliverable, hashes, other_version, parsing
 from sierra.deliverables.report import recorded as reports
-from sierra.deliverables.report.make import Source
+from sierra.deliverables.report.make import ReportSource
 from sierra.deliverables.report.results import REPORT
 from sierra.errors import ConfigError, DamagedFile, Missing, NotFound, SierraError
 from sierra.stats.comparison.model import VERSION
 from sierra.store import deliverable_records
+from sierra.store.batch_data import BatchData
 from sierra.store.row_types import DeliverableRow
-from sierra.store.samples import Frame
 from sierra.store.segments import disk_errors
 from sierra.store.store import Store
 from sierra.util.hashing import sha256, short
@@ -80,10 +80,10 @@ def check(
     `without` are kinds that are not checked. If a deliverable was made in several formats at different times, it is there for
     each time. Files that were not made the last time count only if they still exist.
     """
-    found, last = [], None
+    checked, last = [], None
     if all(row.kind in without for row in deliverable_records.latest(store, batch)):
         return []  # a frame of 100,000 runs takes long, and much memory
-    with Frame(store, batch) as frame:
+    with BatchData(store, batch) as frame:
         known = _kinds(between, cache(partial(Gallery, project, store, frame, only=frame.names)))
         for row in deliverable_records.latest(frame, batch):
             if row.kind in without:
@@ -91,8 +91,8 @@ def check(
             kept = row if last != (row.kind, row.name) else _existing(row, project.root)
             last = (row.kind, row.name)
             if kept.files:
-                found.append(Checked(row.kind, row.name, tuple(kept.files), _problem(project, store, known, kept)))
-    return found
+                checked.append(Checked(row.kind, row.name, tuple(kept.files), _problem(project, store, known, kept)))
+    return checked
 
 
 def find(project: LoadedProject, store: Store, file: Path, between: Between | None = None) -> ShownDeliverable:
@@ -115,8 +115,8 @@ def find(project: LoadedProject, store: Store, file: Path, between: Between | No
 def _kinds(between: Between | None, gallery: Callable[[], Gallery] | None = None) -> Kinds:
     """Return the kinds; `gallery` returns the data of the batch if they serve several figures."""
 
-    def report(project: LoadedProject, store: Store, row: DeliverableRow) -> Content:
-        return reports.again(Source(project, store, between), row)
+    def report(project: LoadedProject, store: Store, row: DeliverableRow) -> Deliverable:
+        return reports.again(ReportSource(project, store, between), row)
 
     core = {
         render.KIND: DeliverableKind("figures", Figure, DRAW_AGAIN, partial(render.content, shared=gallery)),
@@ -130,7 +130,7 @@ def _kinds(between: Between | None, gallery: Callable[[], Gallery] | None = None
     return lambda kind: core.get(kind) or kinds.find(kind)
 
 
-def _numbers(project: LoadedProject, store: Store, row: DeliverableRow) -> Content:
+def _numbers(project: LoadedProject, store: Store, row: DeliverableRow) -> Deliverable:
     from sierra.deliverables.paper import bound_files
     from sierra.execution.batches_of_queries import BatchesOfQueries
 
@@ -163,11 +163,11 @@ def _existing(row: DeliverableRow, root: Path) -> DeliverableRow:
 
 def _problem(project: LoadedProject, store: Store, known: Kinds, row: DeliverableRow) -> str | None:
     """Return why a deliverable does not follow from the store any more, in one line; None if it follows."""
-    for file, recorded, found in zip(row.files, row.sha256s, hashes(project.root, row), strict=True):
-        if found is None:
+    for file, recorded, present in zip(row.files, row.sha256s, hashes(project.root, row), strict=True):
+        if present is None:
             return f"{file} is missing"
-        if found != recorded:
-            return f"{file} is not the file that SIERRA made (SHA-256 {found[:10]} instead of {recorded[:10]})"
+        if present != recorded:
+            return f"{file} is not the file that SIERRA made (SHA-256 {present[:10]} instead of {recorded[:10]})"
     kind = known(row.kind)
     if kind is None:
         return f"it can no longer be made: the extension that makes deliverables of kind {row.kind!r} is not installed"
@@ -183,7 +183,7 @@ def _problem(project: LoadedProject, store: Store, known: Kinds, row: Deliverabl
     return f"{changed}; {kind.remedy}" if changed else None
 
 
-def _changed(row: DeliverableRow, now: Content, kind: DeliverableKind) -> str:
+def _changed(row: DeliverableRow, now: Deliverable, kind: DeliverableKind) -> str:
     """Return what a deliverable would show otherwise now: its data, or any part of its definition; "" if nothing."""
     before = json.loads(row.definition)
     if now.data != row.data:
@@ -192,7 +192,7 @@ def _changed(row: DeliverableRow, now: Content, kind: DeliverableKind) -> str:
     if changed_code := [text.partition(" ")[0] for text in now.made_by if CODE.fullmatch(text) and text not in row.made_by]:
         return f"{changed_code[0]} has changed since"
     definitions = before, json.loads(json.dumps(now.definition))
-    parts = zip(*(_parts(row.kind, kind.declaration, one) for one in definitions), strict=True)
+    parts = zip(*(_parts(row.kind, kind.declaration, definition) for definition in definitions), strict=True)
     changed = (name for old, new in parts for name in {**old, **new} if old.get(name) != new.get(name))
     differing = [name for name in dict.fromkeys(changed) if name not in NOT_SHOWN]
     return f"sierra.toml changes how it is made: it has another {' and another '.join(differing)} now" if differing else ""

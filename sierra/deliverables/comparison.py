@@ -96,8 +96,8 @@ class Compared:
         import pyarrow as pa
 
         tests: list[Omnibus | Pair | Effect] = [*self.omnibus, *self.pairs, *self.effects]
-        points = [one.point if not isinstance(one, Effect) else {} for one in tests]
-        rows = [_row(one, self.analysis.title) for one in tests]
+        points = [test.point if not isinstance(test, Effect) else {} for test in tests]
+        rows = [_row(test, self.analysis.title) for test in tests]
         variables = list(dict.fromkeys(name for point in points for name in point))
         shown = [name for name in COLUMNS if any(row.get(name) is not None for row in rows)]
         values: list[list[object]] = [[point.get(name) for point in points] for name in variables]
@@ -133,15 +133,17 @@ def compare(
     from sierra.stats.comparison.wording import brief, paragraph
 
     stores = {group: (packaged or {}).get(group, store) for group in batches}
-    found, cells, factors, notes = gather_cells(project, stores, batches, asked)
-    first = next(iter(found.values()))
+    tables, cells, factors, notes = gather_cells(project, stores, batches, asked)
+    first = next(iter(tables.values()))
     groups = cells[0].samples if cells else ()
     if len(groups) > MOST and asked.against is None and not factors:
         raise UsageError(
             f"{len(groups)} groups are too many to compare each with each; name one of them as against (--against)"
         )
-    names = {} if factors else _names(asked.by, found.values())
-    question = Question(asked.alpha, asked.margin, asked.paired, _group(asked.against, [one.group for one in groups], names))
+    names = {} if factors else _names(asked.by, tables.values())
+    question = Question(
+        asked.alpha, asked.margin, asked.paired, _group(asked.against, [sample.group for sample in groups], names)
+    )
     result = analyse(cells, question, factors, asked.method, project.config.comparison_methods)
     if factors and asked.over_time:
         raise UsageError("main effects and interactions cannot be computed over time; leave out --over-time")
@@ -160,7 +162,7 @@ def compare(
         brief(result, subject),
         asked,
         (
-            *dict.fromkeys(note for one in found.values() for note in one.notes),
+            *dict.fromkeys(note for table in tables.values() for note in table.notes),
             *notes,
             *_differences(stores, batches, details=not packaged),
         ),
@@ -198,17 +200,17 @@ def cells_of(
     runs: Mapping[str, RunTable], asked: Comparison
 ) -> tuple[Mapping[str, RunTable], list[Cell], tuple[str, ...], tuple[str, ...]]:
     """Return what `gather_cells` returns, from the runs of all experiments."""
-    found = {group: one.among(asked.experiments) for group, one in runs.items()}
-    first = next(iter(found.values()))
-    found = {group: one.minus(first.offset) for group, one in found.items()}
-    if len({(one.output, one.measure) for one in found.values()}) > 1:
-        each = ", ".join(f"{group}: {one.measure} of {one.output}" for group, one in found.items())
+    tables = {group: table.among(asked.experiments) for group, table in runs.items()}
+    first = next(iter(tables.values()))
+    tables = {group: table.minus(first.offset) for group, table in tables.items()}
+    if len({(table.output, table.measure) for table in tables.values()}) > 1:
+        each = ", ".join(f"{group}: {table.measure} of {table.output}" for group, table in tables.items())
         raise UsageError(f"the batches differ in the output or the measure ({each}); name both")
-    if len(found) > 1:
-        cells, notes = _cells_of_batches(found)
-        return found, _with_rates(cells, found), (), notes
+    if len(tables) > 1:
+        cells, notes = _cells_of_batches(tables)
+        return tables, _with_rates(cells, tables), (), notes
     cells, factors = _cells_within(first, asked)
-    return found, _with_rates(cells, found), factors, ()
+    return tables, _with_rates(cells, tables), factors, ()
 
 
 def _with_rates(cells: Sequence[Cell], found: Mapping[str, RunTable]) -> list[Cell]:
@@ -258,10 +260,10 @@ def labelled(
     Raises UsageError if two have the same label; it can be mended by `remedy`.
     """
     proposed = labels(project, store, [batch for _, batch in named])
-    found = [label or other for (label, _), other in zip(named, proposed, strict=True)]
-    if twice := next((label for label in found if found.count(label) > 1), None):
+    chosen = [label or other for (label, _), other in zip(named, proposed, strict=True)]
+    if twice := next((label for label in chosen if chosen.count(label) > 1), None):
         raise UsageError(f"two groups have the name {twice!r}; give them different ones: {remedy}")
-    return {label: batch for label, (_, batch) in zip(found, named, strict=True)}
+    return {label: batch for label, (_, batch) in zip(chosen, named, strict=True)}
 
 
 def of_queries(queries: BatchesOfQueries, words: Sequence[str]) -> dict[str, str]:
@@ -299,9 +301,9 @@ def _subject(runs: RunTable) -> str:
     return f"the {of_run(runs.measure, runs.column)}{unit}"
 
 
-def _cells_of_batches(found: Mapping[str, RunTable]) -> tuple[list[Cell], tuple[str, ...]]:
+def _cells_of_batches(tables: Mapping[str, RunTable]) -> tuple[list[Cell], tuple[str, ...]]:
     """Return the cells that batches have in common, and notes on the others."""
-    axes = {group: tuple(runs.axes) for group, runs in found.items()}
+    axes = {group: tuple(runs.axes) for group, runs in tables.items()}
     (first, names), *others = axes.items()
     for group, other in others:
         if set(other) != set(names):
@@ -312,18 +314,18 @@ def _cells_of_batches(found: Mapping[str, RunTable]) -> tuple[list[Cell], tuple[
             )
     places = {
         group: {tuple(runs.cells[ordinal][name] for name in names): ordinal for ordinal in runs.cells}
-        for group, runs in found.items()
+        for group, runs in tables.items()
     }
-    every = dict.fromkeys(point for one in places.values() for point in one)
-    common = [point for point in every if all(point in one for one in places.values())]
+    every = dict.fromkeys(point for points in places.values() for point in points)
+    common = [point for point in every if all(point in points for points in places.values())]
     if not common:
         raise UsageError("the batches have no experiment with the same values of the variables in common")
     left = len(every) - len(common)
     notes = (f"left out, because not in all batches: {left} of {counted(len(every), 'experiment')}",) if left else ()
     cells = [
         Cell(
-            found[first].shown(places[first][point]),
-            tuple(_sample(group, runs, [places[group][point]]) for group, runs in found.items()),
+            tables[first].shown(places[first][point]),
+            tuple(_sample(group, runs, [places[group][point]]) for group, runs in tables.items()),
         )
         for point in common
     ]
@@ -352,10 +354,10 @@ def _cells_within(runs: RunTable, asked: Comparison) -> tuple[list[Cell], tuple[
     groups = _chosen(name, runs, asked)
     cells: dict[tuple[Value, ...], dict[str, int]] = {}
     for ordinal, values in runs.cells.items():
-        cells.setdefault(tuple(values[one] for one in rest), {})[_named(name, runs.shown(ordinal)[name])] = ordinal
+        cells.setdefault(tuple(values[variable] for variable in rest), {})[_named(name, runs.shown(ordinal)[name])] = ordinal
     return [
         Cell(
-            {one: runs.shown(next(iter(places.values())))[one] for one in rest},
+            {variable: runs.shown(next(iter(places.values())))[variable] for variable in rest},
             tuple(_sample(group, runs, [places[group]]) for group in groups),
         )
         for places in cells.values()
@@ -425,10 +427,10 @@ def _differences(stores: Mapping[str, Store], batches: Mapping[str, str], *, det
         for row in rows
     ]
     names = {"overrides": "--set", "base_seed": "base seed", "shared_files": "shared files", "around": "services"}
-    found = [names.get(name, name) for name in facts[0] if any(one.get(name) != facts[0][name] for one in facts)]
-    if found:
+    differing = [names.get(name, name) for name in facts[0] if any(one.get(name) != facts[0][name] for one in facts)]
+    if differing:
         one, other = next(combinations(map(short, batches.values()), 2))
-        yield f"the batches differ in {', '.join(found)}{f'; for details: sierra diff {one} {other}' if details else ''}"
+        yield f"the batches differ in {', '.join(differing)}{f'; for details: sierra diff {one} {other}' if details else ''}"
 
 
 FACTS = ("controller", "scenario", "overrides", "platform", "base_seed", "template")
@@ -436,17 +438,17 @@ SPEC = ("command", "variables", "source", "image", "host_access", "shared_files"
 """The columns of batches and of specs that are compared."""
 
 
-def _row(one: Pair | Omnibus | Effect, title: str) -> dict[str, object]:
+def _row(test: Pair | Omnibus | Effect, title: str) -> dict[str, object]:
     """Return the values of one row of the table of results, by column."""
-    row = {name: getattr(one, name) for name in COLUMNS if hasattr(one, name)}
-    match one:
+    row = {name: getattr(test, name) for name in COLUMNS if hasattr(test, name)}
+    match test:
         case Pair():
-            never = {} if one.statistic is not None else {"never_first": None, "never_second": None}
-            return row | never | {"cliffs_delta": one.delta, "verdict": one.verdict.value}
+            never = {} if test.statistic is not None else {"never_first": None, "never_second": None}
+            return row | never | {"cliffs_delta": test.delta, "verdict": test.verdict.value}
         case Omnibus():
-            return row | {"first": "all groups", "n_first": one.n}
+            return row | {"first": "all groups", "n_first": test.n}
         case Effect():
-            return row | {"effect": one.name, "test": title, "statistic": one.f, "partial_eta_squared": one.eta}
+            return row | {"effect": test.name, "test": title, "statistic": test.f, "partial_eta_squared": test.eta}
 
 
 def again(project: LoadedProject, store: Store, row: DeliverableRow) -> Compared:

@@ -11,7 +11,7 @@ from sierra.config.deliverable_tables import PRINTED, Figure, Format
 from sierra.config.project_file import LoadedProject
 from sierra.deliverables import comparison
 from sierra.deliverables.comparison import KIND, Compared
-from sierra.deliverables.record import Content, Recorder, marked_folder
+from sierra.deliverables.record import Deliverable, Recorder, marked_folder
 from sierra.errors import UsageError
 from sierra.store.layout import COMPARISONS, ProjectPaths
 from sierra.store.row_types import DeliverableRow
@@ -72,17 +72,17 @@ def svg(compared: Compared) -> bytes:
     return data
 
 
-def content(project: LoadedProject, store: Store, row: DeliverableRow) -> Content:
+def content(project: LoadedProject, store: Store, row: DeliverableRow) -> Deliverable:
     """Return the content of a recorded comparison by its definition and the data that the store has now."""
     return content_of(comparison.again(project, store, row))
 
 
-def content_of(compared: Compared) -> Content:
+def content_of(compared: Compared) -> Deliverable:
     """Return everything that the files of a comparison depend on."""
     return _content(compared, drawing_of(compared))
 
 
-def _content(compared: Compared, drawn: Drawing) -> Content:
+def _content(compared: Compared, drawn: Drawing) -> Deliverable:
     definition: dict[str, JsonView] = {
         "version": compared.analysis.version,
         "comparison": compared.asked.model_dump(mode="json"),
@@ -108,7 +108,7 @@ def drawing_of(compared: Compared) -> Drawing:
         axes=(),
         cells={},
         tables={"": compared.arrow()},
-        rows={str(place): pa.table(band) for place, band in enumerate(bands)},
+        rows={str(number): pa.table(band) for number, band in enumerate(bands)},
         note=caption_of(compared),
         sql=f"-- comparison of {', '.join(compared.batches.values())}",
         batch=next(iter(compared.batches.values())),

@@ -47,17 +47,17 @@ def paper_table(compared: Compared, caption: str = "", label: str = "") -> Paper
     """
     alone = compared.omnibus if len(compared.omnibus) == 1 and compared.pairs else ()
     tests: list[Omnibus | Pair | Effect] = [*(() if alone else compared.omnibus), *compared.pairs, *compared.effects]
-    points = [one.point if not isinstance(one, Effect) else {} for one in tests]
+    points = [test.point if not isinstance(test, Effect) else {} for test in tests]
     variables = list(dict.fromkeys(name for point in points for name in point))
     places = {name: plain([point.get(name, "") for point in points]) for name in variables}
     rows: list[dict[str, Cell]] = [
-        {name: cells[k] for name, cells in places.items()} | _cells(one, compared) for k, one in enumerate(tests)
+        {name: cells[k] for name, cells in places.items()} | _cells(test, compared) for k, test in enumerate(tests)
     ]
     first = {name: str(rows[0][name] or "") for name in ("n", "test")}
     same = {name: text for name, text in first.items() if "," not in text and all(row[name] == text for row in rows)}
     headers = [name for name in rows[0] if name not in same and any(row[name] is not None for row in rows)]
-    texts = frozenset(place for place, name in enumerate(headers) if name in ("groups", "effect", "test", "verdict"))
-    texts |= {place for place, name in enumerate(headers) if any(isinstance(point.get(name), str) for point in points)}
+    texts = frozenset(column for column, name in enumerate(headers) if name in ("groups", "effect", "test", "verdict"))
+    texts |= {column for column, name in enumerate(headers) if any(isinstance(point.get(name), str) for point in points)}
     cells = tuple(tuple(row[name] for name in headers) for row in rows)
     called = {name: name.replace("_", " ") for name in variables} | {
         "groups": _variable(compared).replace("_", " ") or "groups"
@@ -80,29 +80,29 @@ def _in_words(omnibus: Omnibus) -> str:
     return f"{omnibus.test} of all groups: {statistic}n = {omnibus.n}, {p_value(omnibus.p_adjusted)}"
 
 
-def _cells(one: Omnibus | Pair | Effect, compared: Compared) -> dict[str, Cell]:
+def _cells(test: Omnibus | Pair | Effect, compared: Compared) -> dict[str, Cell]:
     """Return the cells of a row, by header; all rows have the same headers."""
     cells: dict[str, Cell] = dict.fromkeys(
         ("groups", "effect", "n", "test", "statistic", _difference(compared), "A12", "partial η²", "p", "p (TOST)", "verdict")
     )
-    cells["p"] = _short(p_value(one.p_adjusted))
-    match one:
+    cells["p"] = _short(p_value(test.p_adjusted))
+    match test:
         case Pair():
-            n = str(one.n_first) if one.n_first == one.n_second else f"{one.n_first}, {one.n_second}"
-            difference = None if one.difference is None else rounded(one.difference, one.low, one.high)
-            a12 = None if one.a12 is None else Rounded(f"{one.a12:.2f}")
+            n = str(test.n_first) if test.n_first == test.n_second else f"{test.n_first}, {test.n_second}"
+            difference = None if test.difference is None else rounded(test.difference, test.low, test.high)
+            a12 = None if test.a12 is None else Rounded(f"{test.a12:.2f}")
             named = _variable(compared)
-            groups = " − ".join(group.removeprefix(f"{named}=" if named else "") for group in (one.second, one.first))
-            cells |= {"groups": groups, "n": n, "test": one.test, _difference(compared): difference}
-            cells |= {"A12": a12, "verdict": one.verdict.value}
-            if one.p_equivalent_adjusted is not None:
-                cells["p (TOST)"] = _short(p_value(one.p_equivalent_adjusted))
+            groups = " − ".join(group.removeprefix(f"{named}=" if named else "") for group in (test.second, test.first))
+            cells |= {"groups": groups, "n": n, "test": test.test, _difference(compared): difference}
+            cells |= {"A12": a12, "verdict": test.verdict.value}
+            if test.p_equivalent_adjusted is not None:
+                cells["p (TOST)"] = _short(p_value(test.p_equivalent_adjusted))
         case Omnibus():
-            statistic = "" if one.statistic is None else f"χ²({one.df}) = {number(one.statistic)}"
-            cells |= {"groups": "all groups", "n": str(one.n), "test": one.test, "statistic": statistic}
+            statistic = "" if test.statistic is None else f"χ²({test.df}) = {number(test.statistic)}"
+            cells |= {"groups": "all groups", "n": str(test.n), "test": test.test, "statistic": statistic}
         case Effect():
-            statistic = f"F({one.df}, {one.df_error}) = {number(one.f)}"
-            cells |= {"effect": one.name.replace("_", " "), "statistic": statistic, "partial η²": Rounded(f"{one.eta:.2f}")}
+            statistic = f"F({test.df}, {test.df_error}) = {number(test.f)}"
+            cells |= {"effect": test.name.replace("_", " "), "statistic": statistic, "partial η²": Rounded(f"{test.eta:.2f}")}
     return cells
 
 

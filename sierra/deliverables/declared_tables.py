@@ -17,7 +17,7 @@ from sierra.config.project_file import LoadedProject
 from sierra.config.validate import options
 from sierra.deliverables import paper_tables, table_of_sql, table_of_statistics
 from sierra.deliverables.paper_tables import PaperTable
-from sierra.deliverables.record import Content, origin_of, parsing
+from sierra.deliverables.record import Deliverable, origin_of, parsing
 from sierra.deliverables.table_columns import plain_table, side_by_side
 from sierra.deliverables.table_of_statistics import BATCH
 from sierra.errors import Missing, NotFound, SierraError
@@ -39,7 +39,7 @@ ENDINGS = {"latex": "tex", "markdown": "md", "html": "html", "csv": "csv"}
 
 
 @dataclass(frozen=True, slots=True)
-class Made:
+class ComputedTable:
     """A declared table with its numbers."""
 
     name: str
@@ -50,7 +50,7 @@ class Made:
     data: pa.Table
     sql: str
 
-    def content(self) -> Content:
+    def content(self) -> Deliverable:
         """Return everything that the table's files depend on."""
         definition: dict[str, JsonView] = {
             "table": self.declared.model_dump(mode="json", exclude_unset=True, by_alias=True),
@@ -59,7 +59,7 @@ class Made:
             "note": self.table.note,
         }
         made_by = (f"sierra-experiments=={__version__}",)
-        return Content(KIND, self.name, tuple(self.batches.values()), definition, self.sql, data_hash(self.data), made_by)
+        return Deliverable(KIND, self.name, tuple(self.batches.values()), definition, self.sql, data_hash(self.data), made_by)
 
     def write(self, folder: Path) -> tuple[Path, ...]:
         """Write the table in its formats; return the files. Raises Missing if the folder cannot be written."""
@@ -87,7 +87,7 @@ def _comment(format: str, lines: Sequence[str]) -> str:
     return "\n".join(["<!--", *(re.sub("-(?=-)", "- ", line) for line in lines), "-->", ""])
 
 
-def make(project: LoadedProject, store: Store, name: str, declared: TableForPaper, batches: Mapping[str, str]) -> Made:
+def make(project: LoadedProject, store: Store, name: str, declared: TableForPaper, batches: Mapping[str, str]) -> ComputedTable:
     """Return a declared table of batches, by label. Raises SierraError if it cannot be made."""
     if declared.sql:
         columns, data, sql = table_of_sql.columns(store, declared, batches)
@@ -105,7 +105,7 @@ def make(project: LoadedProject, store: Store, name: str, declared: TableForPape
     table = side_by_side(columns, across) if across else plain_table(columns)
     note = "; ".join(filter(None, (table.note, declared.footnote)))
     table = replace(table, note=note, caption=_given(declared.caption, declared), label=declared.label)
-    return Made(name, declared, batches, table, data, sql)
+    return ComputedTable(name, declared, batches, table, data, sql)
 
 
 def _given(text: str, declared: TableForPaper) -> str:
@@ -113,7 +113,7 @@ def _given(text: str, declared: TableForPaper) -> str:
     return paper_tables.Latex(text) if declared.latex else text
 
 
-def content(project: LoadedProject, store: Store, row: DeliverableRow) -> Content:
+def content(project: LoadedProject, store: Store, row: DeliverableRow) -> Deliverable:
     """Return the content of a recorded table by its definition and the data that the store has now."""
     with parsing(row.name):
         recorded = json.loads(row.definition)

@@ -14,7 +14,7 @@ from sierra.deliverables.models import deviation
 from sierra.deliverables.models.predicted import Predicted
 from sierra.deliverables.models.predictions import NotVaried
 from sierra.errors import DamagedFile, Missing, NotFound, SierraError
-from sierra.store.samples import Frame
+from sierra.store.batch_data import BatchData
 from sierra.store.sql_names import column_names
 from sierra.store.store import NOTE, Store
 from sierra.util.lazy_definitions import dataclass
@@ -39,7 +39,7 @@ class ModelErrors:
 
 def errors(project: LoadedProject, store: Store, batch: str, name: str | None = None) -> ModelErrors:
     """Return the deviations of all models, or of the one called `name`. Raises NotFound, or SierraError if that one fails."""
-    with Frame(store, batch) as frame:
+    with BatchData(store, batch) as frame:
         gallery = Gallery(project, store, frame, only=_tables(project, frame))
         models = gallery.models.declared
         if name not in (None, *models):
@@ -67,7 +67,7 @@ def errors(project: LoadedProject, store: Store, batch: str, name: str | None = 
         return ModelErrors(_table(rows, frame, "; ".join(dict.fromkeys(filter(None, notes)))), failed)
 
 
-def _tables(project: LoadedProject, frame: Frame) -> set[str]:
+def _tables(project: LoadedProject, frame: BatchData) -> set[str]:
     """Return the outputs and derived tables that models predict."""
     models = project.config.models.values()
     return {table for model in models for table in ([model.table] if model.table else frame.outputs_with(model.column))}
@@ -98,18 +98,18 @@ def _rows(drawing: Drawing) -> list[dict[str, object]]:
 
 def _row(model: Predicted, ordinal: int, n: int, points: deviation.Points) -> dict[str, object]:
     row: dict[str, object] = {"model": model.name, "experiment": ordinal, "n": n, "compared": 0}
-    if (found := deviation.deviation(points)) is None:
+    if (deviations := deviation.deviation(points)) is None:
         return row
     return row | {
-        "compared": found.compared,
+        "compared": deviations.compared,
         "data": float(points.data.mean()),
         "predicted": float(points.predicted.mean()),
-        "bias": found.bias,
-        "rmse": found.rmse,
-        "largest": found.largest,
-        "at": found.at if isfinite(found.at) else None,
-        "inside": found.inside,
-        "intervals": found.intervals,
+        "bias": deviations.bias,
+        "rmse": deviations.rmse,
+        "largest": deviations.largest,
+        "at": deviations.at if isfinite(deviations.at) else None,
+        "inside": deviations.inside,
+        "intervals": deviations.intervals,
     }
 
 
@@ -118,7 +118,7 @@ def _notes(drawing: Drawing) -> list[str]:
     return [f"{model.name} over all experiments: {model.summary}", model.problem]
 
 
-def _table(rows: list[dict[str, object]], frame: Frame, note: str) -> pa.Table:
+def _table(rows: list[dict[str, object]], frame: BatchData, note: str) -> pa.Table:
     import pyarrow as pa
 
     axes, cells = [axis.name for axis in frame.axes()], frame.cells()

@@ -5,48 +5,40 @@ The project adds labels and units to what SQL computes.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import chain
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
-from sierra.config import figure_options
 from sierra.config.deliverable_tables import Figure
 from sierra.config.output_tables import Output, volatile_and_rates
 from sierra.config.project_file import LoadedProject
-from sierra.deliverables import bound, chosen_groups, kinds, seconds, suggest_tables
+from sierra.deliverables import bound, seconds, suggest_tables
 from sierra.deliverables.figures.base import kind_of
 from sierra.deliverables.figures.drawing import Drawing
-from sierra.deliverables.figures.gather import Batch, gather, varied
+from sierra.deliverables.figures.gather import Batch, OutputRows, gather
 from sierra.deliverables.models.models_of_batch import Models
-from sierra.errors import DamagedFile, NotFound, SierraError, UsageError
+from sierra.errors import NotFound, UsageError
 from sierra.execution import targets
 from sierra.execution.batches_of_queries import BatchesOfQueries
 from sierra.ingest.base import with_files
 from sierra.model import Axis, Value
 from sierra.stats import aggregate as stats
 from sierra.store import clock_times, equal_runs
+from sierra.store.batch_data import AllFailed, BatchData, OutputTable, RecordedColumn
 from sierra.store.clock_times import TimeKind
 from sierra.store.derived_tables import Definition
-from sierra.store.samples import MIXED, AllFailed, Column, Frame, NoRuns, OutputTable, names_time
-from sierra.store.sql_names import stored_name
+from sierra.store.sql_names import identifier, quote, stored_name
 from sierra.store.store import Store
-from sierra.store.union_files import TEXT
+from sierra.store.time_axis import names_time
 from sierra.util.hashing import sha256, short
-from sierra.util.lazy_definitions import dataclass, regex, replace
-from sierra.util.text import counted, few, like, numbered
+from sierra.util.lazy_definitions import replace
+from sierra.util.text import counted, like
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 ONE_FILE = "file in [outputs.{}] can name one of them"
-AT_MOST = 16
-"""The largest number of default figures of one batch; others are reported, and drawn on request."""
-SHOWN = 6
-"""The largest number of columns that a note names."""
-OF_RUN = regex(r"\W*(run|seed|repetition|replicate|replication)s?([ _-]?(id|no|nr|num|number|index))?\W*", re.I)
-"""The names of columns with the number of a run."""
 
 
 def _tables(figures: Mapping[str, Figure], name: str | None) -> Container[str] | None:
@@ -56,66 +48,6 @@ def _tables(figures: Mapping[str, Figure], name: str | None) -> Container[str] |
     return {figure.table for figure in wanted} if known else None
 
 
-class _Groups(NamedTuple):
-    """The controller and the scenario of all runs of a batch."""
-
-    controller: str | None
-    scenario: str | None
-
-
-@dataclass(frozen=True, slots=True)
-class _Output:
-    """One output of a batch, as a source of figures."""
-
-    frame: Frame
-    output: OutputTable
-    time: str
-    where: str = ""
-    by_mean: bool = False
-    experiments: tuple[int, ...] | None = None
-    """The positions of the experiments that count; None: all."""
-
-    @property
-    def condition(self) -> str:
-        """Return the SQL condition that rows must fulfil; "" if all rows count."""
-        chosen = "" if self.experiments is None else f'"# ordinal" IN ({", ".join(map(str, self.experiments))})'
-        return f"({self.where}\n) AND {chosen}" if self.where and chosen else self.where or chosen
-
-    def check(self, columns: Sequence[str], *, numeric: bool) -> None:
-        for column in columns:
-            if numeric and column in self.output.mixed:
-                raise UsageError(
-                    f"column {column!r} of output {self.output.name!r} {MIXED}; see {column + TEXT!r} in sierra sql"
-                )
-            known = self.output.columns if numeric else self.output.all_columns
-            if column not in known:
-                what = "numeric column" if numeric else "column"
-                raise NotFound(f"output {self.output.name!r} has no {what} {column!r}; it has {', '.join(known)}")
-
-    @property
-    def name(self) -> str:
-        return self.output.name
-
-    def samples(self, column: str, offset: int = 0) -> Column:
-        return Column(self.frame, self.output.name, column, self.time, self.condition, offset)
-
-    def coverage(self, column: str) -> stats.Coverage:
-        """Return the amount of data that fulfils `where`. Raises SierraError if there is none."""
-        (row,) = self.rows("SELECT count(*) AS count FROM data").to_pylist()
-        if not row["count"]:
-            those = f"fulfils where = {self.where!r}" if self.where else "belongs to a run of the chosen groups"
-            raise SierraError(f"no row of output {self.output.name!r} {those}")
-        seen = stats.coverage(self.samples(column), several=True)
-        return replace(seen, selected=True, accepted=_accepted(self.frame, self.output))
-
-    def rows(self, statement: str) -> pa.Table:
-        self.frame.data(self.output.name, self.time, self.condition, timed='"# t"' in statement)
-        return self.frame.sql(statement)
-
-    def seeds(self) -> Mapping[tuple[int, str], int]:
-        return self.frame.seeds()
-
-
 class Gallery:
     """The data that the figures of one batch share."""
 
@@ -123,7 +55,7 @@ class Gallery:
         self,
         project: LoadedProject,
         store: Store,
-        frame: Frame,
+        frame: BatchData,
         target: str | None = None,
         *,
         name: str | None = None,
@@ -133,7 +65,7 @@ class Gallery:
 
         `name`: the only figure that is wanted. `only`: the outputs and derived tables that are needed; default: all.
         """
-        self._queries = BatchesOfQueries(project, store)
+        self.queries = BatchesOfQueries(project, store)
         own = target is not None
         target = target or (targets.recorded(store, frame.batch) if project.targets else None)
         self.target_notes = [f"target {target}"] if target else []
@@ -141,14 +73,15 @@ class Gallery:
         self.declared_notes = () if own else targets.notes(project, store, frame.batch)
         """A note if the declarations are those of another target."""
         project = project if own else targets.of_batch(project, store, frame.batch)
-        self._config, self._root = project.config, project.root
+        self.config, self._root = project.config, project.root
         self.models = Models(project, store, frame)
         """The models that figures show with the data."""
         self._store = store
         self.frame = frame
-        self._outputs = {output.name: output for output in frame.outputs(only or _tables(self._config.figures, name))}
+        self.outputs = {output.name: output for output in frame.outputs(only or _tables(self.config.figures, name))}
         self._shown: dict[str, Mapping[Value, Value]] = {}
-        self._axes = tuple(map(self._labelled, frame.axes()))
+        self.axes = tuple(map(self._labelled, frame.axes()))
+        """The variables, with their labels and units."""
         self.cells = {ordinal: self._with_labels(values) for ordinal, values in frame.cells().items()}
         """The values of the axes for each experiment, with the labels of controllers and scenarios."""
         self.planned = {ordinal: runs for ordinal, (_, runs) in frame.counts().items()}
@@ -159,113 +92,18 @@ class Gallery:
         self.time_notes: dict[str, str] = {}
         """Notes by output, if its time column is neither declared nor known by its name: what is used instead."""
 
-    def wanted(self, name: str | None, *, together: bool = False) -> tuple[Mapping[str, Figure], list[str]]:
-        """Return the figures to draw, by name, and notes about them.
-
-        Without `name`, those that are bound to another query, and those about something that only other batches have, are not
-        among them. `together`: several batches are drawn, so those that are bound to any query are not.
-        """
-        declared = self._config.figures
-        figure_options.check(declared)
-        if why := self.frame.failure():
-            if name is not None:
-                raise AllFailed(why)
-            return {}, [why]
-        if name is not None:
-            everything = {**self._default()[0], **declared}
-            if name not in everything:
-                raise NotFound(f"this batch has no figure {name!r}; its figures: {', '.join(everything) or 'none'}")
-            return {name: everything[name]}, []
-        found, notes = self._declared(together) if declared else self._default()
-        if not declared and len(found) > AT_MOST:
-            kept = self._best(found)
-            left = [name for name in found if name not in kept]
-            return kept, [*notes, f"{len(left)} more figures can be drawn, for example: sierra figures HASH {left[0]}"]
-        return found, notes
-
-    def _declared(self, together: bool) -> tuple[dict[str, Figure], list[str]]:
-        """Return the declared figures that show this batch, and notes on those whose query is invalid."""
-        declared = self._config.figures
-        if together:
-            return bound.unbound(declared), []
-        found, invalid = bound.of_batch(declared, self._queries, self.frame.batch)
-        shown = {name: figure for name, figure in found.items() if not self._is_of_others(figure)}
-        return shown, [f"figure {note}" for note in invalid]
-
-    def _is_of_others(self, figure: Figure) -> bool:
+    def is_of_others(self, figure: Figure) -> bool:
+        """Check if a figure without a query is about a variable or an output that only other batches have."""
         variables = (figure.x, figure.series, figure.facet)
-        return not figure.query and bound.is_of_others(variables, figure.table, self._config, self._store, self.frame)
-
-    def _best(self, figures: Mapping[str, Figure]) -> dict[str, Figure]:
-        """Return as many figures as are drawn by default: those of columns that differ most between experiments."""
-        columns: dict[str, dict[str, None]] = {}
-        for figure in figures.values():
-            columns.setdefault(figure.table, {}).update(dict.fromkeys(figure.columns))
-        shares = {table: self.frame.differing(table, list(names)) for table, names in columns.items()}
-        share = {
-            name: max((shares[figure.table].get(column, 0.0) for column in figure.columns), default=0.0)
-            for name, figure in figures.items()
-        }
-        best = set(sorted(figures, key=lambda name: -share[name])[:AT_MOST])
-        return {name: figure for name, figure in figures.items() if name in best}
-
-    def _default(self) -> tuple[dict[str, Figure], list[str]]:
-        """Return the default figures that fit each output; and notes on outputs and columns without one, and why.
-
-        Outputs that another declared deliverable shows need no figure, and no note.
-        """
-        shown = kinds.shown_tables(self._config)
-        found: dict[str, Figure] = {}
-        problems = self.frame.problems
-        notes = [f"no figure of table {name!r}: {error}" for name, error in problems.items() if not isinstance(error, NoRuns)]
-        notes += (
-            []
-            if self._outputs or problems
-            else ["no run wrote a table, so there is no figure; see: sierra sql 'FROM artifacts'"]
-        )
-        for output in self._outputs.values():
-            if self.frame.is_of_accepted(output.name):
-                continue
-            time = self.time(output)
-            columns = [column for column in output.columns if column != time]
-            if output.name not in shown:
-                notes += [f"no figure of column {one!r} of output {output.name!r}: it {MIXED}" for one in output.mixed]
-                notes += suggest_tables.notes(self.frame, output, time)
-            try:
-                self._coverage(output)
-            except DamagedFile:
-                raise
-            except SierraError as error:
-                if output.name in shown:
-                    continue
-                notes.append(f"no figure of output {output.name!r}: {error}")
-                continue
-            self._note_rows(output, self._seen[output.name])
-            series = output.rows > 1 and not self.takes_mean(output)
-            measures = self._measures(output, columns)
-            if output.name not in shown and (left := [repr(column) for column in columns if column not in measures]):
-                which = f"no figure of {few(left, SHOWN)} of output {output.name!r}"
-                notes.append(
-                    f"{which}: {'it is' if len(left) == 1 else 'they are'} the same in all runs, or the number of a run"
-                )
-            proposed = stats.default_figures(output.name, measures, varied(self._axes), series=series)
-            for name, figure in proposed.items():
-                found[_file_name(name, found)] = figure
-        return found, notes
-
-    def _measures(self, output: OutputTable, columns: Sequence[str]) -> Sequence[str]:
-        """Return the columns that are worth a figure: not those that are the same everywhere, or the number of a run."""
-        constant = self.frame.constant(output.name, columns) - {*self.rates(output), *output.flags}
-        numbers = {column for column in columns if OF_RUN.fullmatch(column)}
-        return [column for column in columns if column not in constant | numbers] or columns
+        return not figure.query and bound.is_of_others(variables, figure.table, self.config, self._store, self.frame)
 
     def _from_sql(self, statement: str) -> str:
         """Return the name of the derived table that the own statement of a figure makes."""
         table = f"sql {short(sha256(statement.encode()))}"
         if table not in self.frame.names:
             self.frame.derive(Definition(table, statement, "sql"))
-        if table not in self._outputs:  # another gallery may have made the table in this frame
-            self._outputs |= {output.name: output for output in self.frame.outputs({table})}
+        if table not in self.outputs:  # another gallery may have made the table in this frame
+            self.outputs |= {output.name: output for output in self.frame.outputs({table})}
         return table
 
     @property
@@ -291,7 +129,7 @@ class Gallery:
 
     def units(self, output: OutputTable) -> dict[str, str]:
         """Return the units of columns: those that are declared, and that of durations."""
-        declared = self._config.declared(output.name)
+        declared = self.config.declared(output.name)
         units = {stored_name(name, output.all_columns): unit for name, unit in (declared.units if declared else {}).items()}
         time = self.time(output)
         read = {time: clock_times.UNIT} if self._time_kind(output, time) else {}
@@ -299,42 +137,37 @@ class Gallery:
 
     def declared_output(self, name: str) -> Output:
         """Return the declaration of an output, with the content of files that it names. Raises NotFound, ConfigError."""
-        declared = self._config.outputs.get(name)
+        declared = self.config.outputs.get(name)
         if declared is None:
-            raise NotFound(f"sierra.toml has no [outputs.{name}]; {like(name, list(self._config.outputs), 'it has')}")
+            raise NotFound(f"sierra.toml has no [outputs.{name}]; {like(name, list(self.config.outputs), 'it has')}")
         return with_files({name: declared}, self._root)[name]
 
     def ticks_per_second(self, output: str) -> Mapping[int, float]:
         """Return the ticks per second of each experiment, by its position; nothing if the time of the output is no ticks."""
-        declared = self._config.declared(output)
+        declared = self.config.declared(output)
         if not isinstance(declared, Output) or declared.ticks_per_second is None:
             return {}
-        return seconds.rates(declared.ticks_per_second, self._config, self._store, self.frame)
+        return seconds.rates(declared.ticks_per_second, self.config, self._store, self.frame)
 
-    @property
-    def axes(self) -> tuple[Axis, ...]:
-        """Return the variables, with their labels and units."""
-        return self._axes
-
-    def column(self, figure: Figure, offset: int = 0, measure: str = "final") -> stats.Samples:
+    def column(self, figure: Figure, offset: int = 0, measure: str = "final") -> stats.ColumnStatistics:
         """Return the samples of the one column that a figure names, in the rows of its `where`, minus a whole number.
 
         `measure` is what runs are reduced to, for notes.
         """
         output = self.output(figure)
         (column,) = figure.columns
-        source = _Output(self.frame, output, self.time(output), figure.where)
+        source = OutputRows(self.frame, output, self.time(output), figure.where)
         source.check(figure.columns, numeric=True)
-        seen = self._coverage(output, several=bool(figure.where))
+        seen = self.coverage(output, several=bool(figure.where))
         if figure.where:
             seen = self._in_order(output, source.coverage(column))
             self.check_times(output, seen)
-        self._note_rows(output, seen, measure)
-        return stats.Samples(source.samples(column, offset), seen, column in self.rates(output))
+        self.note_rows(output, seen, measure)
+        return stats.ColumnStatistics(source.samples(column, offset), seen, column in self.rates(output))
 
     def rates(self, output: OutputTable) -> tuple[str, ...]:
         """Return the columns whose values 0 and 1 are a rate: those of flags, and those that are declared."""
-        declared = self._config.declared(output.name)
+        declared = self.config.declared(output.name)
         rates = declared.rates if isinstance(declared, Output) else ()
         rates = tuple(stored_name(column, output.all_columns) for column in rates)
         if unknown := [column for column in rates if column not in output.all_columns]:
@@ -348,18 +181,18 @@ class Gallery:
             return f'set rates = ["{column}"] in [outputs.{output}]'
         return f"let the SQL of [tables.{output}] return {column} as true and false"
 
-    def about_rates(self, samples: stats.Samples, table: pa.Table, measure: str | None) -> list[str]:
+    def about_rates(self, samples: stats.ColumnStatistics, table: pa.Table, measure: str | None) -> list[str]:
         """Return a note on the interval of the mean in computed statistics, if the values are 0 and 1, or should be."""
-        if not isinstance(samples.frame, Column) or not (methods := stats.methods_of_mean(table)):
+        if not isinstance(samples.column, RecordedColumn) or not (methods := stats.methods_of_mean(table)):
             return []
-        column, output = samples.frame.column, samples.frame.table
+        column, output = samples.column.column, samples.column.table
         if stats.is_rate(table):
             return [f"all values of {column} are 0 or 1: low and high are Wilson's 95 % interval of a rate"]
         if measure == "time_to" or "t" not in methods:
             return []
         if samples.rate:
             return [f"not all values of {column} are 0 or 1: low and high are Student's t interval, not that of a rate"]
-        if not stats.may_be_rate(samples.frame, measure, table):
+        if not stats.may_be_rate(samples.column, measure, table):
             return []
         return [
             f"all values of {column} are 0 or 1, but it may be a count: low and high are Student's t interval"
@@ -374,12 +207,12 @@ class Gallery:
             if self.frame.offset(output, column)
         ]
 
-    def _rates_in(self, made: Drawing, source: _Output, seen: stats.Coverage, rates: Container[str]) -> Iterator[str]:
+    def _rates_in(self, made: Drawing, source: OutputRows, seen: stats.Coverage, rates: Container[str]) -> Iterator[str]:
         """Yield notes on the intervals of means in a figure whose values are 0 and 1, but no declared rate."""
         for column, table in made.tables.items():
             timed = "t" in table.column_names
             if column not in rates:
-                samples = stats.Samples(source.samples(column), seen)
+                samples = stats.ColumnStatistics(source.samples(column), seen)
                 yield from self.about_rates(samples, table, None if timed else made.figure.measure)
 
     def drawing(self, name: str, figure: Figure, *, model: str = "") -> Drawing:
@@ -391,9 +224,9 @@ class Gallery:
             figure = figure.model_copy(update={"measure": "mean"})
         time = self.time(output)
         columns = figure.columns or tuple(column for column in output.columns if column != time)[:1]
-        batch = Batch(self._axes, self.cells, self.planned, self.frame.batch)
-        seen = self._coverage(output, several=True)
-        source, order = _Output(self.frame, output, time, figure.where, by_mean), self._chosen_groups(figure)
+        batch = Batch(self.axes, self.cells, self.planned, self.frame.batch)
+        seen = self.coverage(output, several=True)
+        source, order = OutputRows(self.frame, output, time, figure.where, by_mean), self._chosen_groups(figure)
         if order:
             if figure.where:
                 self.frame.experiments_with(output.name, figure.where)  # complains of `where` as it is written
@@ -406,24 +239,24 @@ class Gallery:
             planned = {ordinal: runs for ordinal, runs in self.planned.items() if ordinal in asked.union(seen.runs)}
             batch = replace(batch.of_experiments(failed.union(seen.runs)), planned=planned)
             batch = batch.in_order({name: [self._label(name, one) for one in order[name]] for name in order})
-        self._note_rows(output, seen, figure.measure)
+        self.note_rows(output, seen, figure.measure)
         rates = self.rates(output)
-        made = gather(name, figure, columns, batch, source, seen, rates, self._config.statistics)
-        of_values = (*self._rates_in(made, source, seen, rates), *self.about_digits(output.name, made.tables))
-        made = self.models.alone(model, made, source) if model else self.models.added(name, made, source)
+        drawing = gather(name, figure, columns, batch, source, seen, rates, self.config.statistics)
+        of_values = (*self._rates_in(drawing, source, seen, rates), *self.about_digits(output.name, drawing.tables))
+        drawing = self.models.alone(model, drawing, source) if model else self.models.added(name, drawing, source)
         units = self.units(output)
-        tables, models, note = made.tables, made.models, made.note
+        tables, models, note = drawing.tables, drawing.models, drawing.note
         per_second = (
             self.ticks_per_second(output.name) if tables and all("t" in one.column_names for one in tables.values()) else {}
         )
         if per_second:
             tables = {column: seconds.in_seconds(table, per_second) for column, table in tables.items()}
-            models = tuple(replace(one, table=seconds.in_seconds(one.table, per_second)) for one in made.models)
+            models = tuple(replace(one, table=seconds.in_seconds(one.table, per_second)) for one in drawing.models)
             note = "; ".join(text for text in (note, seconds.note(time, per_second)) if text)
             units[time] = "s"
         note = "; ".join(filter(None, (*self.target_notes, *self.row_notes.get(output.name, ()), note, *of_values)))
-        sql = "\n\n".join(filter(None, (self.frame.statements(output.name), made.sql)))
-        return replace(made, tables=tables, models=models, note=note, sql=sql, time=time or "row", units=units)
+        sql = "\n\n".join(filter(None, (self.frame.statements(output.name), drawing.sql)))
+        return replace(drawing, tables=tables, models=models, note=note, sql=sql, time=time or "row", units=units)
 
     def _chosen_groups(self, figure: Figure) -> dict[str, tuple[Value, ...]]:
         """Return the controllers and scenarios that a figure shows, in its order, by the name of the variable.
@@ -431,28 +264,26 @@ class Gallery:
         Raises NotFound for one that this batch does not have.
         """
         raw = {axis.name: axis.values for axis in self.frame.axes()}
-        found = {}
-        for key, words in chosen_groups.of(figure).items():
-            name = chosen_groups.KEYS[key]
-            known = raw.get(name) or self._only(name)
-            chosen = chosen_groups.values(key, words, {value: self._label(name, value) for value in known})
-            if name in raw:
-                found[name] = chosen
-        return found
+        groups: dict[str, tuple[Value, ...]] = {}
+        for name, words in (("controller", figure.controllers), ("scenario", figure.scenarios)):
+            if words:
+                known = raw.get(name) or self._only(name)
+                chosen = _chosen_values(name, words, {value: self._label(name, value) for value in known})
+                groups |= {name: chosen} if name in raw else {}
+        return groups
 
     def _only(self, name: str) -> tuple[Value, ...]:
         """Return the one controller or scenario of all runs of the batch; none if it has none."""
-        (row,) = self._store.select(_Groups, "SELECT controller, scenario FROM batches WHERE batch = $b", b=self.frame.batch)
-        value = row._asdict()[name]
+        [(value,)] = self.frame.run(f"SELECT {identifier(name)} FROM batches WHERE batch = {quote(self.frame.batch)}")  # noqa: S608
         return (value,) if value else ()
 
     def _experiments_of(self, groups: Mapping[str, Sequence[Value]]) -> tuple[int, ...]:
         """Return the positions of the experiments with these values of variables."""
         cells = self.frame.cells().items()
-        found = tuple(ordinal for ordinal, cell in cells if all(cell[name] in values for name, values in groups.items()))
-        if not found:
+        ordinals = tuple(ordinal for ordinal, cell in cells if all(cell[name] in values for name, values in groups.items()))
+        if not ordinals:
             raise NotFound(f"no experiment of this batch has {' and '.join(f'one of the chosen {name}s' for name in groups)}")
-        return found
+        return ordinals
 
     def time(self, output: OutputTable) -> str:
         """Return the name of the time column; "" if there is none.
@@ -464,23 +295,23 @@ class Gallery:
         return self._times[output.name]
 
     def _time(self, output: OutputTable) -> str:
-        declared = self._config.declared(output.name)
+        declared = self.config.declared(output.name)
         named = stored_name(declared.time, output.all_columns) if declared and declared.time else ""
         first = output.all_columns[0] if output.all_columns else ""
         if named or (names_time(first) and (first in output.columns or self._time_kind(output, first) is TimeKind.CLOCK)):
             if self._time_kind(output, named or first):
                 self.time_notes[output.name] = clock_times.NOTE.format(time=named or first, table=output.name)
             return named or first
-        found = self.frame.shared_axis(output.name, output.columns) if output.rows > 1 else None
-        if found is None:
+        axis = self.frame.shared_axis(output.name, output.columns) if output.rows > 1 else None
+        if axis is None:
             return ""
         self.time_notes[output.name] = (
-            f"{found!r} is used as the time of output {output.name!r}, because it increases equally in all runs"
+            f"{axis!r} is used as the time of output {output.name!r}, because it increases equally in all runs"
             f' (to name another, set time = "COLUMN" in [outputs.{output.name}])'
         )
-        return found
+        return axis
 
-    def _note_rows(self, output: OutputTable, seen: stats.Coverage, measure: str = "final") -> None:
+    def note_rows(self, output: OutputTable, seen: stats.Coverage, measure: str = "final") -> None:
         """Note that row numbers are the time of an output with several rows in a run. SQL orders those of derived tables."""
         if seen.most > 1 and measure != "mean" and output.name in self.frame.written and not self.time(output):
             self.time_notes.setdefault(
@@ -500,7 +331,7 @@ class Gallery:
         except NotFound:
             return None
 
-    def _coverage(self, output: OutputTable, *, several: bool = False) -> stats.Coverage:
+    def coverage(self, output: OutputTable, *, several: bool = False) -> stats.Coverage:
         """Return the amount of data. Raises UsageError for several rows at the same time of a run, unless `several`."""
         if output.name not in self._seen:
             if not output.columns:
@@ -508,14 +339,14 @@ class Gallery:
             time = self.time(output)
             column = next((c for c in output.columns if c != time), output.columns[0])
             robots = self.frame.robots_note(output.name, time)
-            read = partial(stats.coverage, Column(self.frame, output.name, column, time), several=True)
+            read = partial(stats.coverage, RecordedColumn(self.frame, output.name, column, time), several=True)
             seen = self.frame.once(("coverage", output.name, column, time), read)
-            equal = equal_runs.note(self.frame, *volatile_and_rates(self._config.outputs))
+            equal = equal_runs.note(self.frame, *volatile_and_rates(self.config.outputs))
             self.row_notes[output.name] = [note for note in (robots, self._order_note(output, seen), equal) if note]
             seen = self._in_order(output, seen)
             doubled = sum(seen.runs.values()) if self._series(output)[0] > 1 else seen.doubled
             selected = output.name not in self.frame.written
-            accepted = _accepted(self.frame, output)
+            accepted = self.frame.accepted_beside(output.name)
             self._seen[output.name] = replace(seen, selected=selected, doubled=doubled, accepted=accepted)
         if not several:
             number, column = self._series(output)
@@ -544,7 +375,7 @@ class Gallery:
 
     def _any_order(self, output: OutputTable) -> bool:
         """Return whether the time of an output may go back within a run."""
-        declared = self._config.declared(output.name)
+        declared = self.config.declared(output.name)
         return isinstance(declared, Output) and declared.time_order == "any"
 
     def _in_order(self, output: OutputTable, seen: stats.Coverage) -> stats.Coverage:
@@ -562,10 +393,10 @@ class Gallery:
 
     def _series(self, output: OutputTable) -> tuple[int, str]:
         """Return the largest number of series of rows in a run, such as topics of a bag, and the column with their names."""
-        declared = self._config.declared(output.name)
+        declared = self.config.declared(output.name)
         if not isinstance(declared, Output) or not declared.series:
             return 1, ""
-        source = _Output(self.frame, output, self.time(output))
+        source = OutputRows(self.frame, output, self.time(output))
         rows = source.rows(f"SELECT count(DISTINCT {declared.series}) AS series FROM data GROUP BY run").to_pylist()  # noqa: S608
         return max((int(row["series"]) for row in rows), default=1), declared.series
 
@@ -593,27 +424,27 @@ class Gallery:
         if name := self._from_sql(figure.sql) if figure.sql else figure.table:
             if name in self.frame.problems:
                 raise self.frame.problems[name]
-            if name not in self._outputs:
+            if name not in self.outputs:
                 raise NotFound(f"this batch has no output {name!r}; its outputs: {', '.join(self.frame.names) or 'none'}")
-            return self._outputs[name]
-        every = [o for o in self._outputs.values() if all(column in o.columns for column in figure.columns)]
+            return self.outputs[name]
+        every = [o for o in self.outputs.values() if all(column in o.columns for column in figure.columns)]
         having = [o for o in every if not self.frame.is_of_accepted(o.name)]
         having = [o for o in having if o.name in self.frame.written] or having
-        if self._outputs and not having:
+        if self.outputs and not having:
             others = "".join(f"; {o.name} has the rows of accepted ends, and must be named" for o in every)
             raise NotFound(
                 f"no output has {' and '.join(map(repr, figure.columns))} as numeric columns (sierra sql 'SHOW TABLES'){others}"
             )
         if len(having) != 1:
-            names = [name for name in self._outputs if not self.frame.is_of_accepted(name)]
+            names = [name for name in self.outputs if not self.frame.is_of_accepted(name)]
             raise NotFound(f"name the output: set {key} to one of {', '.join(names) or '(none was written)'}")
         return having[0]
 
     def _labelled(self, axis: Axis) -> Axis:
-        variable = self._config.variables.get(axis.name)
+        variable = self.config.variables.get(axis.name)
         if variable:
             axis = replace(axis, label=variable.label or axis.label, unit=variable.unit)
-        labels = self._config.labels(axis)
+        labels = self.config.labels(axis)
         self._shown[axis.name] = labels
         return replace(axis, values=tuple(labels.get(value, value) for value in axis.values))
 
@@ -624,12 +455,25 @@ class Gallery:
         return {name: self._label(name, value) for name, value in values.items()}
 
 
-def _accepted(frame: Frame, output: OutputTable) -> Mapping[int, Mapping[str, int]]:
-    """Return the ends of runs that have no rows in an output because these are in a table of their own, by experiment."""
-    return frame.accepted() if output.name in frame.written and not frame.is_of_accepted(output.name) else {}
+def _chosen_values(variable: str, words: Sequence[str], labels: Mapping[Value, Value]) -> tuple[Value, ...]:
+    """Return the controllers or scenarios that words stand for, in the order of the words, each once.
+
+    A word is a name, a label, or a category: `depth0` stands for all names that begin with `depth0.`. `labels` has the label of
+    each value. Raises NotFound for a word that stands for no value.
+    """
+    if not labels:
+        raise NotFound(f"{variable}s: this batch has no {variable}s")
+    chosen: dict[Value, None] = {}
+    for word in words:
+        if not (named := _named(word, labels)):
+            known = list(dict.fromkeys(str(text) for pair in labels.items() for text in pair))
+            raise NotFound(f"{variable}s: this batch has no {variable} {word!r}; {like(word, known)}")
+        chosen |= dict.fromkeys(named)
+    return tuple(chosen)
 
 
-def _file_name(name: str, taken: Mapping[str, Figure]) -> str:
-    """Return a file name for a figure that is valid on all systems and not taken."""
-    plain = re.sub(r"[^\w.-]+", "_", name).strip("_.") or "figure"
-    return next(free for free in numbered(plain) if free not in taken)
+def _named(word: str, labels: Mapping[Value, Value]) -> list[Value]:
+    if word in labels:
+        return [word]
+    of_label = [value for value, label in labels.items() if label == word]
+    return of_label or [value for value in labels if str(value).startswith(f"{word}.")]

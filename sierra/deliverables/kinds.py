@@ -15,7 +15,7 @@ from sierra.util.lazy_definitions import dataclass
 if TYPE_CHECKING:
     from sierra.config.project_file import LoadedProject, Project
     from sierra.deliverables.gallery import Gallery
-    from sierra.deliverables.record import Content
+    from sierra.deliverables.record import Deliverable
     from sierra.store.row_types import DeliverableRow
     from sierra.store.store import Store
 
@@ -28,7 +28,7 @@ def as_written(declared: Table) -> dict[str, JsonView]:
 class FilesOfPaper(NamedTuple):
     """The files of a deliverable in the folder of a paper."""
 
-    content: Content
+    content: Deliverable
     names: tuple[str, ...]
     make: Callable[[], Mapping[str, bytes]]
     """Makes the files, by name."""
@@ -44,7 +44,7 @@ class DeliverableKind:
     """The model of a declaration. If it has a key `table`, that is an output which needs no default figure."""
     remedy: str
     """The advice for a deliverable that does not follow from the store any more, such as `make it again with: …`."""
-    content: Callable[[LoadedProject, Store, DeliverableRow], Content]
+    content: Callable[[LoadedProject, Store, DeliverableRow], Deliverable]
     """Returns the content that a recorded deliverable has now, by its definition and the data that the store has now."""
     version: int = 1
     """The version of the method that computes them; definitions have it as `version`."""

@@ -84,11 +84,11 @@ def batches(store: Store, targets: Sequence[str], batch: str | None = None) -> d
         raise NotFound(f"batch {short(batch)} was not requested for target {' or '.join(targets)}")
     if not asked:
         raise Missing(f"no batch is recorded for target {' or '.join(targets)} yet; record them with sierra run")
-    found = {row.target: row.batch for row in store.select(_Batch, LAST, targets=list(targets), **asked[0]._asdict())}
-    if lacking := [target for target in targets if target not in found]:
+    last = {row.target: row.batch for row in store.select(_Batch, LAST, targets=list(targets), **asked[0]._asdict())}
+    if lacking := [target for target in targets if target not in last]:
         command = _command(asked[0], targets)
         raise Missing(f"{asked[0].query} was not run for target {few(lacking, 3)}; record all batches with: {command}")
-    chosen = {target: found[target] for target in targets}
+    chosen = {target: last[target] for target in targets}
     members = {row.batch: row.runs for row in store.select(_Members, MEMBERS, batches=sorted(set(chosen.values())))}
     first = members[chosen[targets[0]]]
     for target in targets[1:]:
@@ -141,28 +141,28 @@ def merged(drawings: Mapping[str, Drawing], word: Word = TARGET) -> Drawing:
         name += "_"
     axis = Axis(name, tuple(drawings), label=word)
     over_time = first.figure.kind == "timeseries"
-    step = 1 + max((max(one.cells, default=0) for one in drawings.values()), default=0)
-    places = {target: place * step for place, target in enumerate(drawings)}
+    step = 1 + max((max(drawing.cells, default=0) for drawing in drawings.values()), default=0)
+    places = {target: number * step for number, target in enumerate(drawings)}
     cells: dict[int, Mapping[str, Value]] = {
         ordinal + places[target]: {**values, name: target}
-        for target, one in drawings.items()
-        for ordinal, values in one.cells.items()
+        for target, drawing in drawings.items()
+        for ordinal, values in drawing.cells.items()
     }
-    runs = {target: one.runs for target, one in drawings.items() if one.runs is not None}
+    runs = {target: drawing.runs for target, drawing in drawings.items() if drawing.runs is not None}
     return replace(
         first,
         axes=(axis, *first.axes) if over_time else (*first.axes, axis),
         cells=cells,
         tables={
-            column: _stacked({target: one.tables[column] for target, one in drawings.items()}, places)
+            column: _stacked({target: drawing.tables[column] for target, drawing in drawings.items()}, places)
             for column in first.tables
         },
         runs=_stacked(runs, places) if runs else None,
         models=_models(drawings, places),
-        failed_models={name: problem for one in drawings.values() for name, problem in one.failed_models.items()},
-        note="; ".join(together({target: one.note for target, one in drawings.items()})),
-        sql="\n\n".join(f"-- {word} {target}\n{one.sql}" for target, one in drawings.items()),
-        together={target: one.batch for target, one in drawings.items()},
+        failed_models={name: problem for drawing in drawings.values() for name, problem in drawing.failed_models.items()},
+        note="; ".join(together({target: drawing.note for target, drawing in drawings.items()})),
+        sql="\n\n".join(f"-- {word} {target}\n{drawing.sql}" for target, drawing in drawings.items()),
+        together={target: drawing.batch for target, drawing in drawings.items()},
         together_by=word,
     )
 
@@ -188,7 +188,7 @@ def together(notes: Mapping[str, str]) -> list[str]:
 
 
 def _check(drawings: Mapping[str, Drawing], word: Word) -> None:
-    (one, first), *others = drawings.items()
+    (label, first), *others = drawings.items()
     for target, other in others:
         for what, mine, theirs in (
             ("columns", ", ".join(first.tables), ", ".join(other.tables)),
@@ -197,7 +197,7 @@ def _check(drawings: Mapping[str, Drawing], word: Word) -> None:
             ("units", _units(first), _units(other)),
         ):
             if mine != theirs:
-                both = f"{PLURALS[word]} {one!r} and {target!r}"
+                both = f"{PLURALS[word]} {label!r} and {target!r}"
                 raise SierraError(f"{both} have different {what}: {mine or 'none'} and {theirs or 'none'}")
 
 

@@ -122,7 +122,7 @@ def runs_for_power(
     alpha = asked.alpha / len(pairs)
     if len(pairs) > 1:
         notes.append(f"alpha is {asked.alpha:g} / {len(pairs)}, because a comparison corrects for all its {len(pairs)} tests")
-    if min(one.count for one in pairs) < SMALL:
+    if min(pair.count for pair in pairs) < SMALL:
         notes.append("the spread of a small pilot is uncertain; plan again with more runs")
     return RunsForPower(
         runs.output,
@@ -133,7 +133,7 @@ def runs_for_power(
         wanted.runs,
         power.RESAMPLES,
         power.SEED,
-        tuple(one.powered(alpha, wanted) for one in pairs),
+        tuple(pair.powered(alpha, wanted) for pair in pairs),
         tuple(dict.fromkeys([*runs.notes, *notes])),
     )
 
@@ -199,7 +199,7 @@ def _two_groups(
 ) -> tuple[RunTable, list[_Groups], list[str]]:
     from sierra.stats.comparison import pairing
 
-    found, cells, factors, left = gather_cells(project, dict.fromkeys(batches, store), batches, asked)
+    tables, cells, factors, left = gather_cells(project, dict.fromkeys(batches, store), batches, asked)
     groups = cells[0].samples if cells else ()
     if factors or len(groups) != 2:
         raise UsageError(f"the power is that of two groups, not of {len(groups)}; name two of them (--groups A,B)")
@@ -213,7 +213,7 @@ def _two_groups(
     pairs = [pair for cell in cells if (pair := _pair(cell, wanted, paired=decided.paired))]
     if not pairs:
         raise SierraError("no two groups have two or more seeds in common")
-    return next(iter(found.values())), pairs, notes
+    return next(iter(tables.values())), pairs, notes
 
 
 def _pair(cell: Cell, wanted: Wanted, *, paired: bool) -> _Groups | None:

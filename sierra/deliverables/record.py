@@ -15,9 +15,9 @@ from pathlib import Path
 from sierra.errors import Damaged
 from sierra.execution.sessions import Session
 from sierra.store import deliverable_records, unfinished_files
+from sierra.store.batch_data import BatchData
 from sierra.store.lamport_clock import stamp
 from sierra.store.row_types import DeliverableRow
-from sierra.store.samples import Frame
 from sierra.store.segments import disk_errors
 from sierra.store.store import Store
 from sierra.util.fs import write_whole
@@ -28,8 +28,8 @@ from sierra.util.version import __version__
 
 
 @dataclass(frozen=True, slots=True)
-class Content:
-    """The content of a deliverable: everything that its files depend on."""
+class Deliverable:
+    """A deliverable: everything that its files depend on."""
 
     kind: str
     name: str
@@ -46,13 +46,13 @@ class Content:
 class Recorder:
     """The records of a batch's deliverables. New ones are written to the store when it is closed."""
 
-    def __init__(self, store: Store, root: Path, batch: str, frame: Frame | None = None) -> None:
+    def __init__(self, store: Store, root: Path, batch: str, frame: BatchData | None = None) -> None:
         """`frame`: a state of the store that is open already, to read the last records from."""
         self._store, self._root, self._batch = store, root, batch
         self._latest = deliverable_records.latest(frame or store, batch)
         self._new: list[DeliverableRow] = []
 
-    def made(self, content: Content) -> tuple[Path, ...] | None:
+    def made(self, content: Deliverable) -> tuple[Path, ...] | None:
         """Return the files of a deliverable if they have been made from the same content and have not changed; else None."""
         for last in self._latest:
             same = (last.kind, last.name) == (content.kind, content.name)
@@ -60,7 +60,7 @@ class Recorder:
                 return tuple(self._root / file for file in last.files) if hashes(self._root, last) == last.sha256s else None
         return None
 
-    def add(self, content: Content, files: tuple[Path, ...]) -> None:
+    def add(self, content: Deliverable, files: tuple[Path, ...]) -> None:
         """Record that these files were made, unless the last record says the same."""
         names = [file.relative_to(self._root).as_posix() for file in files]
         row = self._row(content, names, [sha256_file(file) for file in files])
@@ -82,7 +82,7 @@ class Recorder:
             session.close()
         self._new.clear()
 
-    def _row(self, content: Content, files: list[str], sha256s: list[str]) -> DeliverableRow:
+    def _row(self, content: Deliverable, files: list[str], sha256s: list[str]) -> DeliverableRow:
         row = DeliverableRow(
             deliverable="",
             batch=self._batch,
@@ -101,7 +101,7 @@ class Recorder:
         return row._replace(deliverable=deliverable_records.deliverable_id(row))
 
 
-def defined(content: Content) -> str:
+def defined(content: Deliverable) -> str:
     """Return the definition of a deliverable as it is recorded."""
     return json.dumps(content.definition, ensure_ascii=False, sort_keys=True)
 

@@ -16,15 +16,15 @@ from pathlib import Path
 from sierra.config.deliverable_tables import Figure, Format, TableForPaper
 from sierra.config.project_file import LoadedProject
 from sierra.config.validate import options
-from sierra.deliverables import bound, declared_tables, overlay
+from sierra.deliverables import bound, declared_tables, default_figures, overlay
 from sierra.deliverables.figures.drawing import Drawing, draw
 from sierra.deliverables.gallery import Gallery
-from sierra.deliverables.record import Content, Recorder, marked_folder, parsing
+from sierra.deliverables.record import Deliverable, Recorder, marked_folder, parsing
 from sierra.errors import DamagedFile, Missing, NotInstalled, SierraError
 from sierra.execution.batches_of_queries import BatchesOfQueries
+from sierra.store.batch_data import AllFailed, BatchData
 from sierra.store.layout import ProjectPaths
 from sierra.store.row_types import DeliverableRow
-from sierra.store.samples import AllFailed, Frame
 from sierra.store.store import Store
 from sierra.util.hashing import short
 
@@ -50,11 +50,11 @@ def figures(
     drawn: list[Path] = []
     notes: list[str] = []
     galleries: list[Gallery] = []
-    with Frame(store, batch) as frame:
+    with BatchData(store, batch) as frame:
         drawer = _Drawer(project, store, frame, again=again, formats=formats)
         if name not in project.config.paper_tables:
             gallery = Gallery(project, store, frame, name=name)
-            wanted, notes = gallery.wanted(name)
+            wanted, notes = default_figures.wanted(gallery, name)
             drawn, failed = _draw_each(drawer, wanted, gallery.drawing, strict=name is not None)
             notes += (*failed, *gallery.declared_notes, *gallery.time_notes.values())
             notes += gallery.models.notes([] if name else [*wanted])
@@ -65,12 +65,12 @@ def figures(
             declared = {called: table for called, table in declared.items() if not _is_of_others(table, frame, project, store)}
         written, failed = _write_tables(drawer, project, store, {short(batch): batch}, name, declared)
         notes += [f"table {note}" for note in invalid]
-    notes += (*(one for one in failed if one not in notes), *drawer.close())
+    notes += (*(problem for problem in failed if problem not in notes), *drawer.close())
     _check_models(name, *galleries)
     return [*drawn, *written], notes
 
 
-def _is_of_others(table: TableForPaper, frame: Frame, project: LoadedProject, store: Store) -> bool:
+def _is_of_others(table: TableForPaper, frame: BatchData, project: LoadedProject, store: Store) -> bool:
     """Check if a table for papers is about a variable or an output that only other batches have."""
     variables = () if table.sql or table.across not in project.config.variables else (table.across,)
     return not table.query and bound.is_of_others(variables, table.table, project.config, store, frame)
@@ -92,8 +92,8 @@ def _write_tables(
             continue
         try:
             own = called if len(batches) == 1 else overlay.name_of(called, batches)
-            made = declared_tables.make(project, store, own, declared, batches)
-            written += drawer.keep(made.content(), made.write)
+            table = declared_tables.make(project, store, own, declared, batches)
+            written += drawer.keep(table.content(), table.write)
         except (DamagedFile, Missing):
             raise
         except SierraError as error:
@@ -126,7 +126,9 @@ def _draw_each(
     return drawn, failed
 
 
-def content(project: LoadedProject, store: Store, row: DeliverableRow, shared: Callable[[], Gallery] | None = None) -> Content:
+def content(
+    project: LoadedProject, store: Store, row: DeliverableRow, shared: Callable[[], Gallery] | None = None
+) -> Deliverable:
     """Return the content of a recorded figure by its definition and the data that the store has now.
 
     `shared` returns the data of the batch if they serve several figures; by default, only those of this figure are read.
@@ -134,15 +136,15 @@ def content(project: LoadedProject, store: Store, row: DeliverableRow, shared: C
     with parsing(row.name):
         definition = json.loads(row.definition)
         figure = options(Figure, definition["figure"], f"figure {row.name}, as it was recorded")
-    if found := overlay.together_in(definition):
-        word, names = found
+    if together := overlay.together_in(definition):
+        word, names = together
         with ExitStack() as frames:
             batches = dict(zip(names, row.batches, strict=True))
             fitting = overlay.fitting(figure, declared=True)
             return _overlay(_galleries(project, store, batches, frames, word), row.name, fitting, word).content()
     if shared:
         return shared().drawing(row.name, figure).content()
-    with Frame(store, row.batch) as frame:
+    with BatchData(store, row.batch) as frame:
         only = {figure.table} if figure.table or figure.sql else None
         return Gallery(project, store, frame, only=only).drawing(row.name, figure).content()
 
@@ -170,7 +172,7 @@ def overlaid(
         tables, failed = _write_tables(drawer, project, store, batches, name, declared if name else bound.unbound(declared))
         if name in project.config.paper_tables:
             return tables, drawer.close()
-        wanted, notes = first.wanted(name, together=True)
+        wanted, notes = default_figures.wanted(first, name, together=True)
 
         def drawing(called: str, found: Figure) -> Drawing:
             figure = overlay.fitting(found, declared=bool(project.config.figures))
@@ -189,7 +191,7 @@ def overlaid(
 def _galleries(
     project: LoadedProject, store: Store, batches: Mapping[str, str], frames: ExitStack, word: overlay.Word
 ) -> dict[str, Gallery]:
-    opened = {name: frames.enter_context(Frame(store, batch)) for name, batch in batches.items()}
+    opened = {name: frames.enter_context(BatchData(store, batch)) for name, batch in batches.items()}
     if word == overlay.TARGET:
         return {name: Gallery(project.for_target(name), store, frame, name) for name, frame in opened.items()}
     return {name: Gallery(project, store, frame) for name, frame in opened.items()}
@@ -203,7 +205,7 @@ class _Drawer:
     """The writer of figures' files, which records them. Without `again`, it skips figures that it would only write again."""
 
     def __init__(
-        self, project: LoadedProject, store: Store, frame: Frame, *others: str, again: bool, formats: tuple[Format, ...]
+        self, project: LoadedProject, store: Store, frame: BatchData, *others: str, again: bool, formats: tuple[Format, ...]
     ) -> None:
         """`others`: further batches that the figures show. `formats`: empty for those that are declared."""
         self._recorder = Recorder(store, project.root, frame.batch, frame)
@@ -217,7 +219,7 @@ class _Drawer:
         drawing = replace(drawing, formats=self._formats or drawing.figure.formats or self._declared)
         return self.keep(drawing.content(), partial(draw, drawing))
 
-    def keep(self, content: Content, write: Callable[[Path], tuple[Path, ...]]) -> tuple[Path, ...]:
+    def keep(self, content: Deliverable, write: Callable[[Path], tuple[Path, ...]]) -> tuple[Path, ...]:
         """Return the files of a deliverable, which `write` writes to a folder unless they are there already."""
         files = None if self._again else self._recorder.made(content)
         if files is None:

@@ -16,8 +16,8 @@ from sierra.stats import aggregate as stats
 from sierra.stats import survival
 from sierra.stats.comparison.model import RunValue
 from sierra.stats.selection import Selection
+from sierra.store.batch_data import BatchData
 from sierra.store.public_result import Result
-from sierra.store.samples import Frame
 from sierra.store.sql_names import column_names
 from sierra.store.store import Store
 from sierra.util.lazy_definitions import dataclass, replace
@@ -67,8 +67,8 @@ class Statistics:
         import pyarrow as pa
 
         table, ordinals, cells = self.table, self.table.column(0).to_pylist(), self.labelled if labels else self.cells
-        for place, (name, axis) in enumerate(zip(names, self.axes, strict=True), 1):
-            table = table.add_column(place, name, pa.array([cells[ordinal][axis] for ordinal in ordinals]))
+        for position, (name, axis) in enumerate(zip(names, self.axes, strict=True), 1):
+            table = table.add_column(position, name, pa.array([cells[ordinal][axis] for ordinal in ordinals]))
         return table
 
 
@@ -120,7 +120,7 @@ def statistics(
     others = [name for name in chosen if name not in survival.STATISTICS]
     selection = Selection.of(others, project.config.statistics) if chosen else None
     wanted = stats.USUAL if selection is None else selection
-    with Frame(store, batch) as frame:
+    with BatchData(store, batch) as frame:
         gallery = Gallery(project, store, frame, only={output})
         figure = Figure(table=output, column=(column,), where=where)
         samples = gallery.column(figure, measure=measure or "final")
@@ -129,7 +129,7 @@ def statistics(
         curves: dict[int, tuple[survival.Step, ...]] = {}
         notes: list[str] = []
         if measure == "time_to" and threshold is not None:
-            curves = {place: survival.curve(runs) for place, runs in survival.times(samples.frame, threshold).items()}
+            curves = {ordinal: survival.curve(runs) for ordinal, runs in survival.times(samples.column, threshold).items()}
         if measure == "time_to" and times is not None:
             table, text = survival.curves_table(curves), survival.statement()
         elif measure is None:
@@ -143,9 +143,9 @@ def statistics(
         shown, coverage, planned = table, samples.coverage, gallery.planned
         if among:
             kept = among(gallery)
-            shown = table.filter([place in kept for place in table.column("experiment").to_pylist()])
-            coverage = replace(coverage, runs={place: runs for place, runs in coverage.runs.items() if place in kept})
-            planned = {place: runs for place, runs in planned.items() if place in kept}
+            shown = table.filter([ordinal in kept for ordinal in table.column("experiment").to_pylist()])
+            coverage = replace(coverage, runs={ordinal: runs for ordinal, runs in coverage.runs.items() if ordinal in kept})
+            planned = {ordinal: runs for ordinal, runs in planned.items() if ordinal in kept}
         if selection:
             notes += selection.notes(shown)
         notes += gallery.about_digits(output, [column])
@@ -177,7 +177,7 @@ def of_tables(
     project: LoadedProject, store: Store, batch: str, output: str, columns: tuple[str, ...]
 ) -> tuple[str, tuple[str, ...]]:
     """Return the name of an output and its columns; without names, the only ones. Raises NotFound, UsageError."""
-    with Frame(store, batch) as frame:
+    with BatchData(store, batch) as frame:
         gallery = Gallery(project, store, frame, only={output} if output else frame.names)
         found = gallery.output(Figure(table=output, column=columns))
         return found.name, columns or (gallery.only_column(found),)
@@ -226,10 +226,10 @@ class RunTable:
         kept = condition.among(experiments, self.axes, self.cells, self.labelled)
         return replace(
             self,
-            cells={place: self.cells[place] for place in self.cells if place in kept},
-            labelled={place: self.labelled[place] for place in self.labelled if place in kept},
-            values={place: self.values[place] for place in self.values if place in kept},
-            planned={place: self.planned[place] for place in self.planned if place in kept},
+            cells={ordinal: self.cells[ordinal] for ordinal in self.cells if ordinal in kept},
+            labelled={ordinal: self.labelled[ordinal] for ordinal in self.labelled if ordinal in kept},
+            values={ordinal: self.values[ordinal] for ordinal in self.values if ordinal in kept},
+            planned={ordinal: self.planned[ordinal] for ordinal in self.planned if ordinal in kept},
         )
 
 
@@ -249,14 +249,14 @@ def values_of_runs(
     NotFound, UsageError.
     """
     _check_reduction(measure, threshold, None)
-    with Frame(store, batch) as frame:
+    with BatchData(store, batch) as frame:
         gallery = Gallery(project, store, frame, only={output} if output else frame.names)
-        found = gallery.output(Figure(table=output, column=(column,) if column else ()), "table (--table)")
-        chosen = column or gallery.only_column(found)
-        measure = measure or ("mean" if gallery.takes_mean(found) else "final")
-        offset = 0 if measure == "time_to" else frame.offset(found.name, chosen)
-        samples = gallery.column(Figure(table=found.name, column=(chosen,), where=where), offset, measure)
-        rows = stats.values_of_runs(samples.frame, measure, threshold).to_pylist()
+        table = gallery.output(Figure(table=output, column=(column,) if column else ()), "table (--table)")
+        chosen = column or gallery.only_column(table)
+        measure = measure or ("mean" if gallery.takes_mean(table) else "final")
+        offset = 0 if measure == "time_to" else frame.offset(table.name, chosen)
+        samples = gallery.column(Figure(table=table.name, column=(chosen,), where=where), offset, measure)
+        rows = stats.values_of_runs(samples.column, measure, threshold).to_pylist()
         seeds = frame.seeds()
         values: dict[int, list[RunValue]] = {ordinal: [] for ordinal in gallery.planned}
         for row in rows:
@@ -265,16 +265,16 @@ def values_of_runs(
                 seed = seeds[row["experiment"], row["run"]]
                 values[row["experiment"]].append(RunValue(seed, float(value), not row["never"]))
         notes = [*stats.left_out((), samples.coverage), *samples.about(measure)]
-        if not (samples.rate or offset) and measure != "time_to" and stats.may_be_rate(samples.frame, measure):
+        if not (samples.rate or offset) and measure != "time_to" and stats.may_be_rate(samples.column, measure):
             notes.append(
-                f"all values of {chosen} are 0 or 1 (to compare them as rates, {gallery.key_of_rates(found.name, chosen)})"
+                f"all values of {chosen} are 0 or 1 (to compare them as rates, {gallery.key_of_rates(table.name, chosen)})"
             )
         return RunTable(
-            output=found.name,
+            output=table.name,
             column=chosen,
             measure=measure,
             threshold=threshold,
-            unit=gallery.unit(found, gallery.time(found) if measure == "time_to" else chosen),
+            unit=gallery.unit(table, gallery.time(table) if measure == "time_to" else chosen),
             axes=tuple(axis.name for axis in frame.axes()),
             cells=frame.cells(),
             labelled=gallery.cells,
@@ -305,25 +305,25 @@ def runs_over_time(
     """Return the runs of a batch at common times, which `grid` may give. Raises UsageError for an output without a time."""
     import numpy as np
 
-    with Frame(store, batch) as frame:
+    with BatchData(store, batch) as frame:
         gallery = Gallery(project, store, frame, only={output})
-        found = gallery.output(Figure(table=output, column=(column,)))
-        time = gallery.time(found)
-        if not time or found.rows < 2:
+        table = gallery.output(Figure(table=output, column=(column,)))
+        time = gallery.time(table)
+        if not time or table.rows < 2:
             raise UsageError(
                 f"output {output!r} has no time, so it cannot be compared over time; see time in [outputs.{output}]"
             )
-        offset = frame.offset(found.name, column)
+        offset = frame.offset(table.name, column)
         rows, times = gallery.column(Figure(table=output, column=(column,)), offset).runs_over_time(grid)
         places = np.searchsorted(np.array(times), rows.column("t").to_numpy())
         seeds = frame.seeds()
         values: dict[int, dict[int, Floats]] = {ordinal: {} for ordinal in gallery.planned}
         runs = zip(rows.column("experiment").to_pylist(), rows.column("run").to_pylist(), strict=True)
         numbers = rows.column("value").to_numpy(zero_copy_only=False).astype(float)
-        for (ordinal, run), place, number in zip(runs, places.tolist(), numbers.tolist(), strict=True):
+        for (ordinal, run), index, number in zip(runs, places.tolist(), numbers.tolist(), strict=True):
             series = values[ordinal].setdefault(seeds[ordinal, run], np.full(len(times), np.nan))
-            series[place] = number
-        unit = gallery.unit(found, time)
+            series[index] = number
+        unit = gallery.unit(table, time)
         return RunSeries(f"{time} [{unit}]" if unit else time, times, values, offset)
 
 

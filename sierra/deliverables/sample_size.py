@@ -78,7 +78,7 @@ def runs_needed(
     if not 0 < half_width < float("inf"):
         raise UsageError(f"the half-width of an interval must be a number above 0, not {half_width:g}")
     runs = values_of_runs(project, store, batch, table, column, measure, threshold)
-    found, notes = [], list(runs.notes)
+    needed, notes = [], list(runs.notes)
     rate = runs.rate and all(run.value in (0, 1) for values in runs.values.values() for run in values)
     if rate:
         notes.append("the interval is Wilson's, because the column is a rate")
@@ -97,9 +97,9 @@ def runs_needed(
         else:
             enough = sample_size.runs_needed(sd, half_width)
             safe = sample_size.runs_needed(sample_size.upper_sd(sd, len(numbers)), half_width)
-        found.append(Needed(runs.shown(ordinal), len(numbers), sd, enough, safe))
-    if not found:
+        needed.append(Needed(runs.shown(ordinal), len(numbers), sd, enough, safe))
+    if not needed:
         raise SierraError("no experiment of this batch has two or more runs with a value")
-    if not rate and any(one.sd == 0 for one in found):
+    if not rate and any(cell.sd == 0 for cell in needed):
         notes.append("all runs of an experiment have the same value; if that is by chance, more runs are needed than shown")
-    return RunsNeeded(runs.output, runs.column, runs.measure, half_width, tuple(found), tuple(notes))
+    return RunsNeeded(runs.output, runs.column, runs.measure, half_width, tuple(needed), tuple(notes))

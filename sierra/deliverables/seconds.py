@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from sierra.config.project_file import Project
 from sierra.errors import UsageError
-from sierra.store.samples import Frame
+from sierra.store.batch_data import BatchData
 from sierra.store.store import Store
 from sierra.templates.base import of_bytes
 from sierra.util.arrow_columns import numpy_of
@@ -22,19 +22,19 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 
-def rates(given: float | str, project: Project, store: Store, frame: Frame) -> Mapping[int, float]:
+def rates(given: float | str, project: Project, store: Store, frame: BatchData) -> Mapping[int, float]:
     """Return the ticks per second of each experiment, by its position; `given` is the number, or an XPath of it in inputs.
 
     Raises UsageError if an input has no such number, or if runs of an experiment differ in it.
     """
     if not isinstance(given, str):
         return dict.fromkeys(frame.cells(), given)
-    found: dict[int, float] = {}
+    known: dict[int, float] = {}
     for ordinal, digest in frame.first_and_last_inputs():
         rate = _read(given, project, store.object(digest))
-        if found.setdefault(ordinal, rate) != rate:
-            raise UsageError(f"ticks_per_second: runs of an experiment have {found[ordinal]:g} and {rate:g}; use units instead")
-    return found
+        if known.setdefault(ordinal, rate) != rate:
+            raise UsageError(f"ticks_per_second: runs of an experiment have {known[ordinal]:g} and {rate:g}; use units instead")
+    return known
 
 
 def in_seconds(table: pa.Table, per_second: Mapping[int, float]) -> pa.Table:

@@ -11,11 +11,12 @@ from sierra.config.output_tables import FILE_FORMAT, Key, Keys, Output, with_rot
 from sierra.errors import SierraError
 from sierra.execution.unread_files import NUMBER, Alike, UnreadFiles, most_searched, unread_files
 from sierra.ingest import open_names, robot_files, text_headers
-from sierra.store.samples import ON_ROBOTS, names_time
+from sierra.store.batch_data import ON_ROBOTS
 from sierra.store.sql_names import column_names, identifier, stored_names
 from sierra.store.sql_result import NUMBER as NUMBER_TYPE
 from sierra.store.store import Snapshot, Store
 from sierra.store.table_layout import TableLayout
+from sierra.store.time_axis import names_time
 from sierra.store.type_inference import DURATION
 from sierra.util.lazy_definitions import dataclass, field, replace
 from sierra.util.text import counted

@@ -32,11 +32,11 @@ from sierra.ingest.match_outputs import automatic_format
 from sierra.model import IN_PROJECT, Experiment, Run, Status, Value
 from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, StorePaths, TrialPaths
 from sierra.store.row_types import ArtifactRow
-from sierra.store.samples import is_called_time, names_time
 from sierra.store.segments import disk_errors
 from sierra.store.sql_names import identifier
 from sierra.store.store import GITIGNORE, Store
 from sierra.store.table_layout import Columns, TableLayout
+from sierra.store.time_axis import is_called_time, names_time
 from sierra.templates.base import Files
 from sierra.util.fs import write_whole
 from sierra.util.hashing import short

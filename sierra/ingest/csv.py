@@ -162,7 +162,7 @@ class Csv(Text):
             return Part(self.shape.names or tuple(f"column{number}" for number in range(width)), delimiter)
         return None
 
-    def one(self, files: Sequence[Written]) -> None:
+    def read_part(self, files: Sequence[Written]) -> None:
         for file in files:
             if fault := self._misquoted(file):
                 self.fault(file, fault)
@@ -185,7 +185,7 @@ class Csv(Text):
         padded = self.part.delimiter == PADDED
         self._trims = padded and self.siblings.texts_without("trimmed").isdisjoint(self.part.names)
         self._padded |= {(file.execution, file.name) for file in files if padded and not self._trims}
-        super().one(files)
+        super().read_part(files)
 
     def count(self, file: Written, read: int) -> int | str:
         header = int(self.shape.header)

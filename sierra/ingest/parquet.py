@@ -67,7 +67,7 @@ class Parquet(TableReader):
         """Return the key that files of one part share: DuckDB's names depend on the order of names that are alike to it."""
         return part.names if differing_by_case(part.names) else super().key(part)
 
-    def one(self, files: Sequence[Written]) -> None:
+    def read_part(self, files: Sequence[Written]) -> None:
         try:
             written = self._write(files)
         except self.error:

@@ -57,14 +57,14 @@ class TableReader:
         self._ticks = {name.lower() for name in shape.ticks}
 
     def read(self, files: Sequence[Written]) -> Reading:
-        for place, some in self._by_part(files):
-            sound = self.sound(some)
-            if place is None:  # without rows and columns
+        for number, members in self._by_part(files):
+            sound = self.sound(members)
+            if number is None:  # without rows and columns
                 self._without_rows(sound)
             elif sound:
-                self.part = self.parts[place]
-                self.target = self._first.with_stem(f"{self._first.stem}~{place + 1}") if place else self._first
-                self._one(sound)
+                self.part = self.parts[number]
+                self.target = self._first.with_stem(f"{self._first.stem}~{number + 1}") if number else self._first
+                self._read_part(sound)
         ended = sum(file.ended for file in files if (file.execution, file.name) in self.rows)
         shape = self.shape
         nans = tuple(dict.fromkeys((*shape.nans, *sorted(self.nans))))
@@ -82,19 +82,23 @@ class TableReader:
             self.rows[file.execution, file.name] = 0
             self.columns[file.execution, file.name] = {}
 
-    def _one(self, files: Sequence[Written]) -> None:
+    def _read_part(self, files: Sequence[Written]) -> None:
         """Read the files of one part. Files that turn out to be at fault are left out."""
         while files:
             try:
-                self.one(files)
+                self.read_part(files)
             except AtFaultError as error:
                 for file, fault in error.faults:
                     self.fault(file, fault)
-                for file in files:
-                    self.hints.pop((file.execution, file.name), None)
+                self.forget_hints(files)
                 files = self.sound(files)
             else:
                 return
+
+    def forget_hints(self, files: Iterable[Written]) -> None:
+        """Forget the hints about files, which are written again."""
+        for file in files:
+            self.hints.pop((file.execution, file.name), None)
 
     def _miscounted(self, files: Sequence[Written], rows: Mapping[tuple[str, str], int]) -> Iterator[tuple[Written, str]]:
         """Yield the files whose own count differs from `rows`, each with an error message."""
@@ -122,7 +126,7 @@ class TableReader:
         """Return the columns (and the delimiter) of each valid file by its path; None if it has no rows and no columns."""
         raise NotImplementedError
 
-    def one(self, files: Sequence[Written]) -> None:
+    def read_part(self, files: Sequence[Written]) -> None:
         """Read the files of one part."""
         raise NotImplementedError
 
@@ -135,21 +139,21 @@ class TableReader:
 
     def _by_part(self, files: Sequence[Written]) -> list[tuple[int | None, list[Written]]]:
         """Return the files of each part with the part's position; None for files without rows and columns."""
-        found = self.sort(files)
-        places = {self.key(part): place for place, part in enumerate(self.parts)}
+        part_of_file = self.sort(files)
+        numbers = {self.key(part): number for number, part in enumerate(self.parts)}
         members: dict[int | None, list[Written]] = {}
         for file in self.sound(files):
-            part = found[file.path]
+            part = part_of_file[file.path]
             if part is not None and (own := self._ticks & set(map(str.lower, part.names))):
                 self.fault(file, f"has a column {min(own)!r}, but {robot_files.of_name(min(own), file.name)}")
                 continue
-            place = None if part is None else places.setdefault(self.key(part), len(places))
-            if place is not None and place >= PARTS:
+            number = None if part is None else numbers.setdefault(self.key(part), len(numbers))
+            if number is not None and number >= PARTS:
                 self.fault(file, f"has different columns, but a table has at most {PARTS} different sets of columns")
                 continue
-            if part is not None and place == len(self.parts):
+            if part is not None and number == len(self.parts):
                 self.parts.append(part)
-            members.setdefault(place, []).append(file)
+            members.setdefault(number, []).append(file)
         return list(members.items())
 
     def key(self, part: Part) -> Hashable:
@@ -226,14 +230,14 @@ class TableReader:
             "run": [file.run for file in files],
             "execution": [file.execution for file in files],
             "name": [shown(file.name) for file in files],
-            **{f"tick{place}": [file.ticks[place] for file in files] for place in range(len(self.shape.ticks))},
+            **{f"tick{index}": [file.ticks[index] for file in files] for index in range(len(self.shape.ticks))},
         }
         named = ", ".join(
             f"{expression} AS {identifier(name)}"
             for name, expression in zip(stored_names(list(columns)), columns.values(), strict=True)
         )
         name = "o.name AS file, " if self.shape.many else ""
-        name += "".join(f"o.tick{place} AS {identifier(tick)}, " for place, tick in enumerate(column_names(self.shape.ticks)))
+        name += "".join(f"o.tick{index} AS {identifier(tick)}, " for index, tick in enumerate(column_names(self.shape.ticks)))
         types = {name: "BIGINT" if name.startswith("tick") else "VARCHAR" for name in owners}
         self.sql.execute(f"CREATE OR REPLACE TEMP TABLE owners AS {unnested(types)}", list(owners.values()))
         self.sql.execute("SET threads = 1")  # several threads would write the pieces of a large file in any order

@@ -21,10 +21,10 @@ from sierra.ingest.messages import shown
 from sierra.ingest.model import PLAIN, Shape
 from sierra.ingest.recording_context import Context
 from sierra.store import endings
-from sierra.store.samples import names_time
 from sierra.store.sql_names import differing_by_case, identifier, quote, stored_name, stored_names
 from sierra.store.store import Snapshot, Store
 from sierra.store.table_layout import Columns, TableLayout
+from sierra.store.time_axis import names_time
 from sierra.store.type_inference import AS_TEXT, DURATION
 from sierra.store.union_files import TEXT
 from sierra.store.views import tables_of

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -83,7 +84,7 @@ class Text(TableReader):
         """Return files that contradict themselves, each with an error message; `found`: their types by column and path."""
         return ()
 
-    def one(self, files: Sequence[Written]) -> None:
+    def read_part(self, files: Sequence[Written]) -> None:
         written = self._quickly_written(files, ROWS) if any(file.bytes > LARGE for file in files) else None
         written = written or self._quickly_written(files) or self._slowly_written(files)
         for target, some, kinds in written:
@@ -91,97 +92,105 @@ class Text(TableReader):
 
     def _quickly_written(self, files: Sequence[Written], rows: int | None = None) -> list[Target] | None:
         """Write files with the types of a few of them, inferred from so many rows; return None if they do not fit."""
-        try:
-            return self._exactly(files, self._quickly_seen(files, self.part.names, rows))
-        except (self.error, _MisreadError):
-            for file in files:
-                self.hints.pop((file.execution, file.name), None)
-            return None
+        with suppress(self.error):
+            if targets := self._exactly(files, self._quickly_seen(files, self.part.names, rows)):
+                return targets
+        self.forget_hints(files)
+        return None
 
     def _slowly_written(self, files: Sequence[Written]) -> list[Target]:
         """Write the valid files among these, some of which are faulty; return the same as `_write`."""
         names = self.part.names
-        texts = dict.fromkeys(names, "VARCHAR")
 
         def explain(file: Written, error: Exception) -> str:
-            return self.first_fault(file, names, texts) or first_line(error)
+            return self.first_fault(file, names, _texts(names)) or first_line(error)
 
-        self.halve(files, lambda some: self._try(some, names), explain)
+        self.halve(files, self._try, explain)
         files = self.sound(files)
         try:
-            return self._exactly(files, self._seen(files, names), by_text=True) if files else []
+            return (self._exactly(files, self._seen(files, names), by_text=True) or []) if files else []
         except self.error as error:
             for file in files:  # an error that a file shows alone may be hidden among many
-                self.halve([file], lambda some: self._try(some, names), explain)
+                self.halve([file], self._try, explain)
             sound = self.sound(files)
             if len(sound) == len(files):
                 raise self.unwritten(error) from error
             return self._slowly_written(sound)
 
-    def _exactly(self, files: Sequence[Written], found: Found, *, by_text: bool = False) -> list[Target]:
-        """Call `_write`, and keep whole numbers that DOUBLE cannot hold separate from other files' fractions."""
+    def _exactly(self, files: Sequence[Written], assumed: Found, *, by_text: bool = False) -> list[Target] | None:
+        """Call `_write` until no number is rounded; return None if a text that is not a number was written as one.
+
+        Whole numbers that DOUBLE cannot hold are kept separate from other files' fractions.
+        """
         apart: frozenset[str] = frozenset()
         while True:
-            try:
-                return self._write(files, found, apart, by_text=by_text)
-            except _RoundedError as error:
-                found = {**found, **{name: {**found[name], **seen} for name, seen in error.found.items()}}
-                apart |= error.found.keys()
+            targets, misread, rounded = self._write(files, assumed, apart, by_text=by_text)
+            if not misread and not rounded:
+                return targets
+            _delete(targets)
+            if misread:
+                return None
+            assumed = {**assumed, **{name: {**assumed[name], **kinds} for name, kinds in rounded.items()}}
+            apart |= rounded.keys()
 
     def _write(
-        self, files: Sequence[Written], found: Found, apart: frozenset[str] = frozenset(), *, by_text: bool = False
-    ) -> list[Target]:
-        """Write the files with the types that were found, and return the targets.
+        self, files: Sequence[Written], assumed: Found, apart: frozenset[str], *, by_text: bool
+    ) -> tuple[list[Target], bool, Found]:
+        """Write the files with the types that were found, a target for each kind of values, up to the first wrong target.
 
+        Return the targets, whether the last one is misread (see `_misread`), and the numbers that it rounds (see `_rounded`).
         `by_text`: also read numbers that DuckDB does not parse; this is slower.
         """
-        if faults := list(self.contradictions(files, found)):
+        if faults := list(self.contradictions(files, assumed)):
             raise AtFaultError(faults)
-        names = self.part.names
-        texts = dict.fromkeys(names, "VARCHAR")
-        kept = self._kept(files, found)
-        written: list[Target] = []
+        kept = self._kept(files, assumed)
+        targets: list[Target] = []
         try:
-            targets = self.targets()
-            usual = next(targets)
-            for some in alike(files, kept, apart):
+            paths = self.targets()
+            usual = next(paths)
+            for group in alike(files, kept, apart):
                 # executions that will hardly be effective go where SQL does not look for types (see `Views._holding`)
-                odd = any((file.execution, file.name) in self.hints for file in some)
-                target = next(targets) if odd or written else usual
-                types = {name: common(kept[name].get(file.path) for file in some) for name in names}
-                paths = {file.path for file in some}
-                nan = {name for name, path in self._with_nan if path in paths and is_whole(types[name])}
-                columns = {n: self._typed(f"t.c{place}", types[n], by_text, n in nan) for place, n in enumerate(names)}
-                for place, (name, stored) in enumerate(zip(names, stored_names(names), strict=True)):
-                    if types[name] == EXACT_TEXT:
-                        columns[text_beside(stored)] = f"trim({self.text(f't.c{place}')})"
-                written.append((target, some, kinds_of(some, types, found, kept)))
-                self.write(target, some, self.relation(names, texts if by_text else types), columns)
-                if not by_text and self._misread(target, some, names, types):
-                    raise _MisreadError
-                if rounded := self._rounded(target, some, types, found, apart):
-                    raise _RoundedError(rounded)
+                hinted = any((file.execution, file.name) in self.hints for file in group)
+                path = next(paths) if hinted or targets else usual
+                types = {name: common(kept[name].get(file.path) for file in group) for name in self.part.names}
+                targets.append((path, group, kinds_of(group, types, assumed, kept)))
+                nan = self._write_group(path, group, types, by_text=by_text)
+                if not by_text and self._misread(path, group, types):
+                    return targets, True, {}
+                if rounded := self._rounded(path, group, types, assumed, apart):
+                    return targets, False, rounded
                 self.nans |= nan
-        except (self.error, _MisreadError, _RoundedError, AtFaultError):
-            for target, _, _ in written:
-                target.unlink(missing_ok=True)
+        except (self.error, AtFaultError):
+            _delete(targets)
             raise
-        return written
+        return targets, False, {}
 
-    def _kept(self, files: Sequence[Written], found: Found) -> dict[str, Mapping[str, str | None]]:
+    def _write_group(self, path: Path, files: Sequence[Written], types: Mapping[str, str], *, by_text: bool) -> set[str]:
+        """Write files whose columns have the same types; return the columns in which nan becomes a missing value."""
+        names = self.part.names
+        of_files = {file.path for file in files}
+        nan = {name for name, file in self._with_nan if file in of_files and is_whole(types[name])}
+        columns = {name: self._typed(f"t.c{i}", types[name], by_text, name in nan) for i, name in enumerate(names)}
+        for i, (name, stored) in enumerate(zip(names, stored_names(names), strict=True)):
+            if types[name] == EXACT_TEXT:
+                columns[text_beside(stored)] = f"trim({self.text(f't.c{i}')})"
+        self.write(path, files, self.relation(names, _texts(names) if by_text else types), columns)
+        return nan
+
+    def _kept(self, files: Sequence[Written], assumed: Found) -> dict[str, Mapping[str, str | None]]:
         """Return the type in which each file's columns are kept: text among siblings that have text."""
         doubtful = [
             name
-            for name, seen in found.items()
+            for name, seen in assumed.items()
             if name in self.siblings.mixed or len({sibling_kind(kind) for kind in seen.values() if kind}) > 1
         ]
-        doubtful = [name for name in doubtful if any(kind not in (None, "VARCHAR") for kind in found[name].values())]
-        kept = dict(found)
+        doubtful = [name for name in doubtful if any(kind not in (None, "VARCHAR") for kind in assumed[name].values())]
+        kept = dict(assumed)
         if not doubtful:
             return kept
         groups, votes = self.siblings.ask([file.run for file in files])
         for name in doubtful:
-            seen = found[name]
+            seen = assumed[name]
             counts: dict[Group, Counter[str]] = {}
             for file in files:
                 if kind := seen.get(file.path):
@@ -200,12 +209,13 @@ class Text(TableReader):
 
     def _hint(self, file: Written, name: str) -> None:
         """Note the place where a file has text, if most of its siblings have numbers."""
-        types = dict.fromkeys(self.part.names, "VARCHAR") | {name: "DOUBLE"}
+        types = _texts(self.part.names) | {name: "DOUBLE"}
         if fault := self.first_fault(file, self.part.names, types):
             self.hints.setdefault((file.execution, file.name), {})[name] = f"{shown(file.name)}: {fault}"
 
-    def _misread(self, target: Path, files: Sequence[Written], names: Sequence[str], types: Mapping[str, str]) -> bool:
+    def _misread(self, target: Path, files: Sequence[Written], types: Mapping[str, str]) -> bool:
         """Check if a text that is not a number was written as one; search only if there is a sign of it."""
+        names = self.part.names
         doubles = [name for name in names if as_stored(types[name]) == "DOUBLE"]
         if not doubles or not files:
             return False
@@ -215,17 +225,16 @@ class Text(TableReader):
             files = [file for file in files if self.has_underscores(file)]
             if not files:
                 return False
-        places = {name: place for place, name in enumerate(names)}
-        relation = self.relation(names, dict.fromkeys(names, "VARCHAR"))
-        return self._any(odd("{}"), (f"c{places[name]}" for name in doubles), relation, these(files))
+        cells = (f"c{i}" for i, name in enumerate(names) if as_stored(types[name]) == "DOUBLE")
+        return self._any(odd("{}"), cells, self.relation(names, _texts(names)), these(files))
 
     def _rounded(
-        self, target: Path, files: Sequence[Written], types: Mapping[str, str], found: Found, apart: Collection[str]
+        self, target: Path, files: Sequence[Written], types: Mapping[str, str], assumed: Found, apart: Collection[str]
     ) -> Found:
         """Return the types by column and file for columns of large numbers that were written as DOUBLE.
 
         These are columns in which a file has only whole numbers although its type was assumed to be DOUBLE, because of other
-        files or of its first rows, or in which a file has both. `found`: the types that were assumed.
+        files or of its first rows, or in which a file has both. `assumed`: the types of columns that were assumed.
         """
         stored = dict(zip(self.part.names, stored_names(self.part.names), strict=True))
         doubles = [name for name, kind in types.items() if kind == "DOUBLE"]
@@ -241,7 +250,7 @@ class Text(TableReader):
             n: kinds
             for n, kinds in seen.items()
             if EXACT_TEXT in kinds.values() or any(map(is_whole, filter(None, kinds.values())))
-            if n not in apart or not kinds.items() <= found[n].items()
+            if n not in apart or not kinds.items() <= assumed[n].items()
         }
 
     def _any(self, condition: str, cells: Iterable[str], relation: str, given: Mapping[str, list[str]]) -> bool:
@@ -279,8 +288,9 @@ class Text(TableReader):
         missing = f"{cell} IS NULL" + f" OR isnan(TRY_CAST({as_read(cell)} AS DOUBLE))" * nan
         return f"CASE WHEN {missing} THEN NULL WHEN {sound} THEN {value} ELSE error('not {kind}') END"
 
-    def _try(self, files: Sequence[Written], names: Sequence[str]) -> None:
-        relation = self.relation(names, dict.fromkeys(names, "VARCHAR"))
+    def _try(self, files: Sequence[Written]) -> None:
+        """Parse all cells of the files. Raises DuckDB's error for files that it cannot parse."""
+        relation = self.relation(self.part.names, _texts(self.part.names))
         self.fetch(f"SELECT count(COLUMNS(*)) FROM {relation}", files)
 
     def _quickly_seen(
@@ -290,25 +300,25 @@ class Text(TableReader):
 
         `rows`: the number of rows of each of these few files that are used; None: all.
         """
-        sample = [files[place] for place in sorted({0, len(files) // 2, len(files) - 1})]
+        sample = [files[index] for index in sorted({0, len(files) // 2, len(files) - 1})]
         if rows is None:
-            found = self._seen(sample, names)
+            inferred = self._seen(sample, names)
             if len(sample) == len(files):
-                return found
+                return inferred
         else:
             parts = [self._seen([file], names, rows=rows) for file in sample]
-            found = {name: {path: kind for part in parts for path, kind in part[name].items()} for name in names}
+            inferred = {name: {path: kind for part in parts for path, kind in part[name].items()} for name in names}
         doubtful = []
         alike: dict[str, dict[str, str | None]] = {}
         for name in names:
-            kinds = {kind for kind in found[name].values() if kind}
+            kinds = {kind for kind in inferred[name].values() if kind}
             exact = EXACT_TEXT in kinds or any((name, file.path) in self._with_nan for file in sample)
             if len(set(map(kind_of, kinds))) != 1 or "VARCHAR" in kinds or exact or name in self.siblings.mixed:
                 doubtful.append(name)
             else:
                 kind = common(kinds)
-                found[name] = alike.get(kind) or alike.setdefault(kind, {file.path: kind for file in files})
-        return found | (self._seen(files, names, doubtful) if doubtful else {})
+                inferred[name] = alike.get(kind) or alike.setdefault(kind, {file.path: kind for file in files})
+        return inferred | (self._seen(files, names, doubtful) if doubtful else {})
 
     def _seen(
         self, files: Sequence[Written], names: Sequence[str], wanted: Sequence[str] | None = None, rows: int | None = None
@@ -318,18 +328,18 @@ class Text(TableReader):
         `rows`: the number of rows that count; None: all.
         """
         wanted = names if wanted is None else wanted
-        relation = self.relation(names, dict.fromkeys(names, "VARCHAR"))
+        relation = self.relation(names, _texts(names))
         relation = relation if rows is None else f"(FROM {relation} LIMIT {rows})"
-        places = {name: place for place, name in enumerate(names)}
-        found: dict[str, dict[str, str | None]] = {name: {} for name in wanted}
+        places = {name: index for index, name in enumerate(names)}
+        types: dict[str, dict[str, str | None]] = {name: {} for name in wanted}
         cells = ", ".join(f"c{places[name]}" for name in wanted)
         each = f"(SELECT {identifier(FILE)}, unnest([{cells}]) AS cell, unnest(range({len(wanted)})) AS place FROM {relation})"
         bits = bit("cell", as_written=self.as_written, times=self.times)
-        for path, place, seen in self.fetch(
+        for path, index, seen in self.fetch(
             f"SELECT {identifier(FILE)}, place, bit_or({bits}) FROM {each} GROUP BY 1, 2", files
         ):
-            found[wanted[place]][path] = self._type(wanted[place], path, seen or 0)
-        return found
+            types[wanted[index]][path] = self._type(wanted[index], path, seen or 0)
+        return types
 
     def _type(self, name: str, path: str, bits: int) -> str | None:
         """Return the narrowest type of a file's column, and note if nan is a missing value in it."""
@@ -342,17 +352,14 @@ class Text(TableReader):
         return kind
 
 
-class _MisreadError(Exception):
-    """The error that a text that is not a number was written as one."""
+def _texts(names: Sequence[str]) -> dict[str, str]:
+    """Return the type of texts for each column."""
+    return dict.fromkeys(names, "VARCHAR")
 
 
-class _RoundedError(Exception):
-    """The error that whole numbers were written as DOUBLE, which may not hold them exactly."""
-
-    def __init__(self, found: Found) -> None:
-        """`found`: the types by column and file."""
-        super().__init__()
-        self.found = found
+def _delete(targets: Iterable[Target]) -> None:
+    for path, _, _ in targets:
+        path.unlink(missing_ok=True)
 
 
 def alike(files: Sequence[Written], kept: Found, apart: Collection[str] = ()) -> list[list[Written]]:
@@ -377,14 +384,14 @@ def alike(files: Sequence[Written], kept: Found, apart: Collection[str] = ()) ->
     return sorted(sorts.values(), key=lambda some: -len(some))
 
 
-def kinds_of(files: Sequence[Written], types: Mapping[str, str], found: Found, kept: Found) -> dict[str, dict[str, str]]:
+def kinds_of(files: Sequence[Written], types: Mapping[str, str], assumed: Found, kept: Found) -> dict[str, dict[str, str]]:
     """Return the kind of each column in each file, marked if it is kept as text."""
     by_file = {}
     same: dict[tuple[str, ...], dict[str, str]] = {}
     for file in files:
         mine = {}
         for name in types:
-            kind = found[name].get(file.path)
+            kind = assumed[name].get(file.path)
             as_text = kind not in (None, "VARCHAR") and kept[name].get(file.path) == "VARCHAR"
             mine[name] = sibling_kind(kind or EMPTY) + AS_TEXT * as_text
         by_file[file.path] = same.setdefault(tuple(mine.values()), mine)

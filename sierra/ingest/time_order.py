@@ -14,9 +14,9 @@ from typing import NamedTuple
 
 from sierra.store.connections import Database
 from sierra.store.duckdb_file_io import read_parquet
-from sierra.store.samples import names_time
 from sierra.store.sql_names import identifier, stored_name
 from sierra.store.sql_result import INTEGER, NUMBER
+from sierra.store.time_axis import names_time
 from sierra.store.type_inference import BESIDE
 
 

@@ -16,7 +16,7 @@ from sierra.config.output_tables import Equivalence, Output
 from sierra.errors import Damaged, Missing, NotFound, SierraError, UsageError
 from sierra.stats import aggregate as stats
 from sierra.stats import equivalence
-from sierra.store.samples import Column, Frame
+from sierra.store.batch_data import BatchData, RecordedColumn
 from sierra.store.store import Store
 from sierra.util.lazy_definitions import dataclass, replace
 from sierra.util.text import counted
@@ -58,10 +58,10 @@ def values(
     several values at one time.
     """
     by_metric: Values = {}
-    with Frame(store, batch, executions) as frame:
+    with BatchData(store, batch, executions) as frame:
         for name, metric in metrics.items():
             table = declared.get(metric.table)
-            column = Column(frame, metric.table, metric.column, table.time if table else "")
+            column = RecordedColumn(frame, metric.table, metric.column, table.time if table else "")
             any_order = isinstance(table, Output) and table.time_order == "any"
             rows, offset = _reduced(column, metric, any_order=any_order)
             by_metric[name] = {
@@ -70,11 +70,11 @@ def values(
     return by_metric
 
 
-def _reduced(column: Column, metric: Equivalence, *, any_order: bool) -> tuple[list[dict[str, Any]], int]:
+def _reduced(column: RecordedColumn, metric: Equivalence, *, any_order: bool) -> tuple[list[dict[str, Any]], int]:
     """Return the values of the runs, and the whole number that was subtracted from them. Raises NotFound."""
     try:
         _check_single(column, any_order=any_order)
-        offset = 0 if metric.measure == "time_to" else column.frame.offset(column.table, column.column)
+        offset = 0 if metric.measure == "time_to" else column.data.offset(column.table, column.column)
         return stats.reduced(replace(column, offset=offset), metric.measure, metric.threshold).to_pylist(), offset
     except (NotFound, Missing, Damaged):
         raise
@@ -82,7 +82,7 @@ def _reduced(column: Column, metric: Equivalence, *, any_order: bool) -> tuple[l
         raise NotFound(str(error)) from error
 
 
-def _check_single(column: Column, *, any_order: bool) -> None:
+def _check_single(column: RecordedColumn, *, any_order: bool) -> None:
     """Check that no run has several rows at one time, and that no time goes back, except in `any_order`. Raises NotFound."""
     try:
         seen = stats.coverage(column, several=True)

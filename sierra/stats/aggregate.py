@@ -12,7 +12,7 @@ value and is one file in `measures/`. A statement is put together from them:
 No value is averaged silently: missing (NULL or NaN) and infinite values are left out and counted, and so are runs that
 never reached a threshold. One run has a mean but no interval.
 
-The statements run on a `Frame`, which has one relation. The store makes it from one column of one output of one batch:
+The statements run on a `Column`, which has one relation. The store makes it from one column of one output of one batch:
 
     samples(experiment INTEGER, run VARCHAR, number INTEGER, t DOUBLE, shared_t DOUBLE, value DOUBLE,
             file VARCHAR, place BIGINT)
@@ -34,14 +34,12 @@ from typing import TYPE_CHECKING, Protocol, TypeAlias, cast
 from sierra.config.deliverable_tables import Figure
 from sierra.config.field_types import RawTable
 from sierra.errors import SierraError, UsageError
-from sierra.model import Axis
 from sierra.stats import student_t, words
 from sierra.stats.base import LEVEL, Parameter
 from sierra.stats.needs import Needs
 from sierra.stats.order_statistics import ranks
 from sierra.store.rounded_times import PART
 from sierra.util.arrow_columns import numpy_of
-from sierra.util.fs import fitting
 from sierra.util.lazy_definitions import dataclass, field
 from sierra.util.text import counted, n_of, verb
 
@@ -99,8 +97,8 @@ Wanted: TypeAlias = "Iterable[str] | Selection"
 """Statistics by the names of their files, or chosen ones."""
 
 
-class Frame(Protocol):
-    """A connection that executes statements and has the relation `samples`."""
+class Column(Protocol):
+    """One column of an output over the runs: a connection that executes statements and has the relation `samples`."""
 
     def sql(self, text: str, /, **params: Parameter) -> pa.Table:
         """Return the rows of a statement as a pyarrow.Table; `$name` in it stands for the parameter of that name."""
@@ -158,12 +156,12 @@ class Computed:
     note: str
 
 
-def coverage(frame: Frame, *, several: bool = False) -> Coverage:
+def coverage(column: Column, *, several: bool = False) -> Coverage:
     """Return the amount of data. Raises SierraError if there is none.
 
     Raises UsageError for several rows at the same time of a run and for a time that goes back, unless `several`.
     """
-    rows = frame.sql(_file("coverage")).to_pylist()
+    rows = column.sql(_file("coverage")).to_pylist()
     if not rows or all(row["first"] is None for row in rows):
         raise SierraError("no run has written any row of this output yet; there is nothing to compute")
     ascending = all(row["ascending"] for row in rows)
@@ -175,8 +173,8 @@ def coverage(frame: Frame, *, several: bool = False) -> Coverage:
         first=min(row["first"] for row in timed),
         last=max(row["last"] for row in timed),
         untimed=sum(row["untimed"] for row in rows),
-        doubled=0 if ascending else _number_of(frame, "doubled"),
-        backward=0 if ascending else _number_of(frame, "backward"),
+        doubled=0 if ascending else _number_of(column, "doubled"),
+        backward=0 if ascending else _number_of(column, "backward"),
         ends={row["experiment"]: (row["earliest"], row["last"]) for row in timed},
     )
     if not several:
@@ -184,9 +182,9 @@ def coverage(frame: Frame, *, several: bool = False) -> Coverage:
     return found
 
 
-def _number_of(frame: Frame, name: str) -> int:
+def _number_of(column: Column, name: str) -> int:
     """Return the one number of a statement that counts runs."""
-    return int(frame.sql(_file(name)).column(name)[0].as_py())
+    return int(column.sql(_file(name)).column(name)[0].as_py())
 
 
 def check_times(seen: Coverage) -> None:
@@ -205,7 +203,7 @@ def check_times(seen: Coverage) -> None:
 
 def compute(
     figure: Figure,
-    frames: Mapping[str, Frame],
+    columns: Mapping[str, Column],
     needs: Needs,
     *,
     planned: Mapping[int, int] | None = None,
@@ -213,54 +211,40 @@ def compute(
     rates: Container[str] = (),
     options: Mapping[str, RawTable] | None = None,
 ) -> Computed:
-    """Compute what a figure `needs` from the columns in `frames` (column's name → its samples).
+    """Compute what a figure `needs` from these columns, by name.
 
     `planned` is the number of runs that each experiment should have, to report absent runs. `known` is the coverage of the
     same output, if it was computed before. `rates` has the columns whose values 0 and 1 are a rate. `options` are the tables
     `[statistics.NAME]`. Raises SierraError if there is nothing to show, UsageError if the figure does not fit the batch.
     """
-    _check(figure, needs, frames)
-    seen = known or coverage(next(iter(frames.values())))
+    _check(figure, needs, columns)
+    seen = known or coverage(next(iter(columns.values())))
     statistics = _wanted(needs, options or {})
     notes: dict[str, None] = {}
     tables, texts = {}, []
-    for column, frame in frames.items():
-        samples = Samples(frame, seen, column in rates)
+    for name, column in columns.items():
+        samples = ColumnStatistics(column, seen, name in rates)
         if needs.over == "time":
             table, text, how = samples.at_times(figure.times, statistics)
             notes |= dict.fromkeys(how)
         else:
             table, text = samples.by_experiment(figure.measure, statistics, figure.threshold, steps=figure.times == "carry")
-        tables[column] = table
+        tables[name] = table
         texts.append(text)
     if not any(_total(table, "n") for table in tables.values()):
         raise SierraError(_nothing(figure, tables, seen))
-    runs = _values(frames, figure) if needs.runs else None
+    runs = _values(columns, figure) if needs.runs else None
     if needs.over != "time" or needs.runs:
         notes |= dict.fromkeys(samples.about(figure.measure))
     shown = _note(figure, needs, tables.values(), seen, planned)
     return Computed(tables, runs, "\n\n".join(dict.fromkeys(texts)), "; ".join([*shown, *notes]))
 
 
-def default_figures(table: str, columns: Iterable[str], axes: Sequence[Axis], *, series: bool) -> dict[str, Figure]:
-    """Return the default figures of an output by name, which is also that of files.
-
-    `series`: whether there is something to show over time.
-    """
-    kinds = ["timeseries"] if series else []
-    kinds += ["heatmap", "summary"] if len(axes) == 2 else ["summary"]
-    return {
-        fitting(f"{table}_{column}_{kind}"): Figure.model_validate({"kind": kind, "table": table, "column": column})
-        for column in columns
-        for kind in kinds
-    }
-
-
 @dataclass(frozen=True, slots=True)
-class Samples:
-    """The samples of one column; each method returns a table of statistics over the runs, and the statement."""
+class ColumnStatistics:
+    """The statistics of one column over the runs; each method returns a table, and the statement."""
 
-    frame: Frame
+    column: Column
     coverage: Coverage
     rate: bool = False
     """True if the column has flags, or is declared as a rate; if all values are 0 or 1, their mean is a rate."""
@@ -282,7 +266,7 @@ class Samples:
             return []
         if measure == "final":
             return self.coverage.about_ends()
-        if measure == "mean" and (uneven := _number_of(self.frame, "uneven")):
+        if measure == "mean" and (uneven := _number_of(self.column, "uneven")):
             return [
                 f"the steps of time differ by more than 1 % in {counted(uneven, 'run')}, and mean is the mean of the rows: "
                 "time_mean is the mean over time"
@@ -326,7 +310,7 @@ class Samples:
         `grid` that differs from a run's own time by rounding only is replaced by that time.
         """
         times = self._near_own(grid) if grid else self._common_times()
-        return self.frame.sql(_file("resample") + "\nORDER BY ALL", grid=times, linear=False), times
+        return self.column.sql(_file("resample") + "\nORDER BY ALL", grid=times, linear=False), times
 
     def _common_times(self) -> list[float]:
         """Return the times of a common axis, in ascending order."""
@@ -349,7 +333,7 @@ class Samples:
         """
         import numpy as np
 
-        own = numpy_of(self.frame.sql("SELECT DISTINCT shared_t AS t FROM samples WHERE isfinite(t) ORDER BY t").column("t"))
+        own = numpy_of(self.column.sql("SELECT DISTINCT shared_t AS t FROM samples WHERE isfinite(t) ORDER BY t").column("t"))
         after = np.clip(np.searchsorted(own, even), 1, max(1, len(own) - 1))
         near = np.where(even - own[after - 1] < own[after % len(own)] - even, own[after - 1], own[after % len(own)])
         found: list[float] = np.where(np.abs(near - even) <= limit, near, even).tolist()
@@ -363,7 +347,7 @@ class Samples:
         lists: dict[str, Parameter] = {"t": _t(most, level), "median_rank": ranks(0.5, max(1, most), 1 - level)[0]}
         if selection:
             params |= selection.parameters(most)
-        table = self.frame.sql(text, **_used(text, **lists, **params))
+        table = self.column.sql(text, **_used(text, **lists, **params))
         explained = _documented(text, most, level, **params)
         return (selection.complete(table), selection.documented() + explained) if selection else (table, explained)
 
@@ -384,19 +368,19 @@ def _of_fewer_runs(table: pa.Table) -> list[str]:
     return [f"{len(fewer)} of {every} {verb(len(fewer), 'has', 'have')} fewer runs than others, from {fewer[0]:.12g} on"]
 
 
-def values_of_runs(frame: Frame, measure: str, threshold: float | None = None, *, steps: bool = False) -> pa.Table:
+def values_of_runs(column: Column, measure: str, threshold: float | None = None, *, steps: bool = False) -> pa.Table:
     """Return a value for each run: `experiment`, `run`, `value` (NULL: none), `never`, `last` (the time of its last value)."""
     text = f"WITH observations AS (\n{_file(f'measures/{measure}')})\n{_file('values_of_runs')}"
-    return frame.sql(text, **_used(text, threshold=threshold, steps=steps))
+    return column.sql(text, **_used(text, threshold=threshold, steps=steps))
 
 
-def reduced(frame: Frame, measure: str, threshold: float | None = None, *, steps: bool = False) -> pa.Table:
+def reduced(column: Column, measure: str, threshold: float | None = None, *, steps: bool = False) -> pa.Table:
     """Return the finite values that the runs are reduced to: `experiment`, `run`, `value`."""
     text = (
         f"WITH observations AS (\n{_file(f'measures/{measure}')})\n"
         "SELECT experiment, run, value FROM observations WHERE isfinite(value) ORDER BY experiment, value, run"
     )
-    return frame.sql(text, **_used(text, threshold=threshold, steps=steps))
+    return column.sql(text, **_used(text, threshold=threshold, steps=steps))
 
 
 def statement(observations: str, grouping: str, statistics: Wanted) -> str:
@@ -500,18 +484,18 @@ def _code(text: str) -> str:
     return re.sub(r"--[^\n]*", "", text)
 
 
-def _check(figure: Figure, needs: Needs, frames: Mapping[str, Frame]) -> None:
-    if not frames:
+def _check(figure: Figure, needs: Needs, columns: Mapping[str, Column]) -> None:
+    if not columns:
         raise UsageError(f"a {figure.kind} figure needs a column; name one with `column`")
-    if needs.columns is not None and len(frames) != needs.columns:
+    if needs.columns is not None and len(columns) != needs.columns:
         wanted = "one column" if needs.columns == 1 else f"{needs.columns} columns"
-        raise UsageError(f"a {figure.kind} figure shows {wanted}, not {len(frames)}: {', '.join(frames)}")
+        raise UsageError(f"a {figure.kind} figure shows {wanted}, not {len(columns)}: {', '.join(columns)}")
 
 
-def _values(frames: Mapping[str, Frame], figure: Figure) -> pa.Table:
+def _values(columns: Mapping[str, Column], figure: Figure) -> pa.Table:
     """Return the finite values of runs: `experiment`, `run`, `value`, and for further columns `value_2` and so on."""
     steps = figure.times == "carry"
-    first, *others = (reduced(frame, figure.measure, figure.threshold, steps=steps) for frame in frames.values())
+    first, *others = (reduced(column, figure.measure, figure.threshold, steps=steps) for column in columns.values())
     for place, table in enumerate(others, 2):
         keys = ["experiment", "run"]
         first = first.join(table.rename_columns([*keys, f"value_{place}"]), keys, join_type="inner")
@@ -586,7 +570,7 @@ def methods_of_mean(table: pa.Table) -> set[str]:
     return {method for name in names for method in table.column(name).unique().to_pylist() if method}
 
 
-def may_be_rate(frame: Frame, measure: str | None, table: pa.Table | None = None) -> bool:
+def may_be_rate(column: Column, measure: str | None, table: pa.Table | None = None) -> bool:
     """Return whether the only numbers of a column are 0 and 1, and both occur; None as measure: those of all rows.
 
     `table` has the computed statistics, if they are known: n values of 0 and 1 have the mean k / n, where k is a whole number.
@@ -599,7 +583,7 @@ def may_be_rate(frame: Frame, measure: str | None, table: pa.Table | None = None
             return False
     observations = "SELECT value FROM samples" if measure is None else _file(f"measures/{measure}")
     text = f"SELECT {BOTH} AS both FROM (\n{observations}\n) WHERE isfinite(value)"  # noqa: S608 - own statements
-    return bool(frame.sql(text, **_used(text, steps=False)).column("both")[0].as_py())
+    return bool(column.sql(text, **_used(text, steps=False)).column("both")[0].as_py())
 
 
 def _shown(needs: Needs, tables: Sequence[pa.Table]) -> str:

@@ -28,7 +28,7 @@ from statistics import NormalDist
 from typing import TYPE_CHECKING
 
 from sierra.stats import student_t
-from sierra.stats.aggregate import HERE, Frame
+from sierra.stats.aggregate import HERE, Column
 from sierra.stats.base import LEVEL, Estimate
 from sierra.stats.selection import with_estimates
 from sierra.util.lazy_definitions import dataclass
@@ -73,9 +73,9 @@ def statement() -> str:
     return (HERE / "censored_times.sql").read_text(encoding="utf-8")
 
 
-def times(frame: Frame, threshold: float) -> dict[int, tuple[Time, ...]]:
+def times(column: Column, threshold: float) -> dict[int, tuple[Time, ...]]:
     """Return the times of all runs that have a value, by experiment, in ascending order."""
-    rows = frame.sql(statement(), threshold=threshold).to_pylist()
+    rows = column.sql(statement(), threshold=threshold).to_pylist()
     by_experiment = groupby(rows, key=lambda row: int(row["experiment"]))
     return {experiment: tuple(Time(row["time"], row["reached"]) for row in found) for experiment, found in by_experiment}
 

@@ -13,11 +13,12 @@ from collections.abc import Collection, Iterator, Mapping
 from pathlib import PurePosixPath
 from typing import NamedTuple
 
+from sierra.store.batch_data import FLAG, NUMERIC, BatchData
 from sierra.store.clock_times import SECONDS
-from sierra.store.samples import FLAG, NUMERIC, Frame, names_time
 from sierra.store.sql_names import identifier, stored_name
 from sierra.store.store import Store
 from sierra.store.table_layout import TableLayout
+from sierra.store.time_axis import names_time
 from sierra.util.text import counted
 
 NOTE = (
@@ -121,7 +122,7 @@ class _Size(NamedTuple):
     runs: int
 
 
-def note(frame: Frame, volatile: Columns, rates: Columns) -> str:
+def note(frame: BatchData, volatile: Columns, rates: Columns) -> str:
     """Return the note on runs that do not differ; "" if all do, if runs have no seeds, or if equal results are likely.
 
     `volatile` and `rates` are the columns that the project declares as such.
@@ -133,12 +134,12 @@ def of_batch(store: Store, batch: str, volatile: Columns, rates: Columns) -> Ite
     """Yield the note on the runs of a batch that do not differ."""
     if not store.values(int, SEVERAL, b=batch):
         return
-    with Frame(store, batch) as frame:
+    with BatchData(store, batch) as frame:
         if found := note(frame, volatile, rates):
             yield found
 
 
-def _note(frame: Frame, volatile: Columns, rates: Columns) -> str:
+def _note(frame: BatchData, volatile: Columns, rates: Columns) -> str:
     if frame.select(_Flag, SEEDED, b=frame.batch) != [_Flag(True)]:
         return ""
     files = frame.select(_File, FILES)
@@ -157,7 +158,7 @@ def _note(frame: Frame, volatile: Columns, rates: Columns) -> str:
     return _said(frame, unlikely, sizes) if unlikely else ""
 
 
-def _equal_runs(frame: Frame, files: Collection[_File], volatile: Columns) -> dict[int, Groups]:
+def _equal_runs(frame: BatchData, files: Collection[_File], volatile: Columns) -> dict[int, Groups]:
     """Return the runs that are equal in all outputs, by experiment; the largest group first."""
     plain = [output for output in dict.fromkeys(file.output for file in files) if _is_plain(files, output, volatile)]
     others = dict.fromkeys(file.output for file in files if file.output not in plain)
@@ -188,7 +189,7 @@ def _is_plain(files: Collection[_File], output: str, volatile: Columns) -> bool:
     )
 
 
-def _shared(frame: Frame, output: str, volatile: Collection[str] | None) -> list[_Run]:
+def _shared(frame: BatchData, output: str, volatile: Collection[str] | None) -> list[_Run]:
     """Return the runs that have the content of an output in common; compared by its files if `volatile` is None."""
     if volatile is None:
         return frame.select(_Run, SHARED.format(contents=OF_FILES), output=output)
@@ -202,13 +203,13 @@ def _shared(frame: Frame, output: str, volatile: Collection[str] | None) -> list
     return [_Run(row["experiment"], row["run"], row["content"]) for row in rows]
 
 
-def _kinds(frame: Frame) -> dict[str, str]:
+def _kinds(frame: BatchData) -> dict[str, str]:
     """Return the types of the columns of the view `data`, without the seconds that are computed from other columns."""
     described = frame.sql("DESCRIBE data").to_pylist()
     return {row["column_name"]: row["column_type"] for row in described if not row["column_name"].startswith(SECONDS)}
 
 
-def _unlikely(frame: Frame, experiment: int, groups: Groups, left_out: Columns) -> Groups:
+def _unlikely(frame: BatchData, experiment: int, groups: Groups, left_out: Columns) -> Groups:
     """Return the groups of runs that most likely are equal because their seeds count as one.
 
     Coarse data, such as counts, are often equal by chance. So the runs of a group need values in common that differ in other
@@ -221,7 +222,7 @@ def _unlikely(frame: Frame, experiment: int, groups: Groups, left_out: Columns) 
     )
 
 
-def _tells(frame: Frame, output: str, experiment: int, run: str, left_out: Collection[str]) -> bool:
+def _tells(frame: BatchData, output: str, experiment: int, run: str, left_out: Collection[str]) -> bool:
     frame.data(output, timed=False)
     kinds = _kinds(frame)
     without = {*OWN_COLUMNS, "# place", *(stored_name(name, kinds) for name in left_out)}
@@ -245,7 +246,7 @@ def _is_fine(value: float) -> bool:
     return all(abs(value * number - round(value * number)) > number * ROUNDED for number in range(1, SMALL + 1))
 
 
-def _said(frame: Frame, groups: Mapping[int, Groups], sizes: Mapping[int, int]) -> str:
+def _said(frame: BatchData, groups: Mapping[int, Groups], sizes: Mapping[int, int]) -> str:
     """Return the note on experiments in which some runs are equal."""
     experiment = next(iter(groups))
     runs, cells = sum(map(len, groups[experiment])), frame.cells()
@@ -258,7 +259,7 @@ def _said(frame: Frame, groups: Mapping[int, Groups], sizes: Mapping[int, int]) 
     )
 
 
-def _cure(frame: Frame, groups: Mapping[int, Groups]) -> str:
+def _cure(frame: BatchData, groups: Mapping[int, Groups]) -> str:
     """Return what may make the runs differ; the seeds show if the program has a largest one."""
     equal = {(experiment, run) for experiment, found in groups.items() for group in found for run in group}
     seeds = {(ordinal, run): seed for (ordinal, run), seed in frame.seeds().items() if ordinal in groups}
@@ -270,7 +271,7 @@ def _cure(frame: Frame, groups: Mapping[int, Groups]) -> str:
     return "does the program use all digits of its seed? max in [seed] sets the largest seed"
 
 
-def _of_seeds(frame: Frame, columns: Collection[str]) -> set[str]:
+def _of_seeds(frame: BatchData, columns: Collection[str]) -> set[str]:
     """Return the columns whose only value in each run is its seed."""
     if not columns:
         return set()

@@ -123,7 +123,7 @@ class _Memory:
             if column not in self._columns:
                 raise UsageError(f"there is no column {column!r}; there is {', '.join(self._columns)}")
 
-    def samples(self, column: str) -> stats.Frame:
+    def samples(self, column: str) -> stats.Column:
         return _Samples(self._connection, column)
 
     def rows(self, statement: str) -> pa.Table:
@@ -136,7 +136,7 @@ class _Memory:
 
 @dataclass(frozen=True)
 class _Samples:
-    """One column as a frame for statistics."""
+    """One column for statistics."""
 
     connection: Database
     column: str

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 from sierra.config.field_types import RawTable
 from sierra.config.plugin_registry import STATISTICS
 from sierra.stats import aggregate
-from sierra.stats.aggregate import Samples
+from sierra.stats.aggregate import ColumnStatistics
 from sierra.stats.base import LEVEL, Estimate, Parameter, Statistic
 from sierra.stats.selection import Selection
 from sierra.testing.assertions import holds, says_what_its_options_are
@@ -56,8 +56,8 @@ class Trial:
         rows = [(e, run, value) for e, values in enumerate(groups) for run, value in enumerate(values or (math.nan,))]
         selection = Selection.of([self.name], {self.name: self.options}, level)
         with _connected() as connection:
-            frame = _Frame(connection, rows)
-            table, _ = Samples(frame, aggregate.coverage(frame)).by_experiment("final", selection)
+            column = _Column(connection, rows)
+            table, _ = ColumnStatistics(column, aggregate.coverage(column)).by_experiment("final", selection)
         parts = (table.column(f"{self.name}{part}").to_pylist() for part in ("", "_low", "_high"))
         return [Estimate(*row) for row in zip(*parts, strict=True)]
 
@@ -68,8 +68,8 @@ def _connected() -> Database:
     return connect()
 
 
-class _Frame:
-    """A frame of runs with one row each."""
+class _Column:
+    """A column of runs with one row each."""
 
     def __init__(self, connection: Database, rows: Sequence[tuple[int, int, float]]) -> None:
         self._connection = connection

@@ -21,7 +21,7 @@ from idle import measured, project
 
 import sierra
 from sierra.stats import aggregate
-from sierra.store.samples import Column, Frame
+from sierra.store.batch_data import BatchData, RecordedColumn
 from sierra.store.store import Store
 
 REPEATS = 3
@@ -61,9 +61,9 @@ def figures(here: Path, *names: str) -> tuple[float, float, int]:
 
 def statements(here: Path) -> tuple[float, float]:
     """Return the CPU seconds of the statistics of a line with its band, and of the bare aggregate, in one thread each."""
-    with Frame(Store(here / ".sierra"), str(sierra.open(here).batches[-1].batch)) as frame:
-        column = Column(frame, "out", "c0", "tick")
-        samples = aggregate.Samples(column, aggregate.coverage(column))
+    with BatchData(Store(here / ".sierra"), str(sierra.open(here).batches[-1].batch)) as frame:
+        column = RecordedColumn(frame, "out", "c0", "tick")
+        samples = aggregate.ColumnStatistics(column, aggregate.coverage(column))
         frame._snapshot.run("SET threads = 1")
         times = [(cpu(lambda: samples.by_time(("mean", "interval"))), cpu(lambda: column.sql(BARE))) for _ in range(REPEATS)]
     ours, bare = (min(values) for values in zip(*times, strict=True))

@@ -53,7 +53,7 @@ def fastest(what: Callable[[], object]) -> float:
 def main(experiments: int = 100, runs: int = 100, rows: int = 1000) -> None:
     """Measure and print."""
     frame = Frame(experiments, runs, rows)
-    samples = stats.Samples(frame, stats.coverage(frame))
+    samples = stats.ColumnStatistics(frame, stats.coverage(frame))
     least = fastest(lambda: frame.sql(SORTED))
     for what, cost in (
         ("DuckDB: avg and stddev, in the order of rows", fastest(lambda: frame.sql(AVERAGE))),

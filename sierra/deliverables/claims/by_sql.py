@@ -7,9 +7,9 @@ import re
 from collections.abc import Mapping
 
 from sierra.config.claim_table import Claim
-from sierra.deliverables.claims.model import Found, Verdict
+from sierra.deliverables.claims.model import ClaimResult, Verdict
 from sierra.errors import SierraError
-from sierra.store.samples import Frame
+from sierra.store.batch_data import BatchData
 from sierra.store.several_batches import joined
 from sierra.store.sql_result import SqlValue
 from sierra.store.store import Store
@@ -23,10 +23,10 @@ ENDS = regex(r"\boutcomes?\b|_accepted\b", re.IGNORECASE)
 """Names in a statement that is about accepted ends."""
 
 
-def find(store: Store, name: str, claim: Claim, batches: Mapping[str, str]) -> Found:
+def find(store: Store, name: str, claim: Claim, batches: Mapping[str, str]) -> ClaimResult:
     """Return what the statement of a claim says about batches, by label. Raises SierraError for one that decides nothing."""
     n = _runs(store, claim, batches)
-    if isinstance(n, Found):
+    if isinstance(n, ClaimResult):
         return n
     origin = f"[claims.{name}] sql"
     made = joined(store, batches, claim.sql, origin, find_undefined=True)
@@ -41,18 +41,18 @@ def find(store: Store, name: str, claim: Claim, batches: Mapping[str, str]) -> F
     texts = [f"{other} = {_shown(value, digits)}" for other, value in numbers.items()]
     text = few(texts, SHOWN) or f"{first} = {_shown(row[first])}"
     if row[first] is None:
-        return Found(Verdict.cannot_tell, f"the statement yields NULL; {text}", n, numbers=numbers)
+        return ClaimResult(Verdict.cannot_tell, f"the statement yields NULL; {text}", n, numbers=numbers)
     undefined = [other for other, value in numbers.items() if isinstance(value, float) and math.isnan(value)]
     if undefined or made.undefined:
         where = (
             f"{undefined[0]} is NaN" if undefined else f"{made.undefined[0]} has NaN, which SQL takes for the largest number"
         )
-        return Found(Verdict.cannot_tell, f"{where}; use isfinite() in the statement", n, numbers=numbers)
+        return ClaimResult(Verdict.cannot_tell, f"{where}; use isfinite() in the statement", n, numbers=numbers)
     value = next((v for v in numbers.values() if isinstance(v, int | float) and not isinstance(v, bool)), None)
-    return Found(Verdict.holds if row[first] else Verdict.does_not_hold, text, n, value, numbers=numbers)
+    return ClaimResult(Verdict.holds if row[first] else Verdict.does_not_hold, text, n, value, numbers=numbers)
 
 
-def _runs(store: Store, claim: Claim, batches: Mapping[str, str]) -> int | Found:
+def _runs(store: Store, claim: Claim, batches: Mapping[str, str]) -> int | ClaimResult:
     """Return the number of runs that count; if too many are lost, what that means.
 
     Runs with accepted ends count if the statement names their outcomes or their tables.
@@ -60,24 +60,24 @@ def _runs(store: Store, claim: Claim, batches: Mapping[str, str]) -> int | Found
     counts: list[tuple[int, int]] = []
     reasons: list[str | None] = []
     for batch in batches.values():
-        with Frame(store, batch) as frame:
+        with BatchData(store, batch) as frame:
             counts += frame.counts().values()
             if ENDS.search(claim.sql):
                 counts += ((runs, 0) for ends in frame.accepted().values() for runs in ends.values())
             reasons.append(frame.failure())
     n, planned = (sum(part) for part in zip(*counts, strict=True))
     if not n and (reason := next(filter(None, reasons), None)):
-        return Found(Verdict.cannot_tell, reason, 0)
+        return ClaimResult(Verdict.cannot_tell, reason, 0)
     return lost(claim, n, planned) or n
 
 
-def lost(claim: Claim, n: int, planned: int) -> Found | None:
+def lost(claim: Claim, n: int, planned: int) -> ClaimResult | None:
     """Return what it means that only n of the planned runs have a value; None if the claim allows that, and n is not 0."""
     if n and planned - n <= claim.allowed(planned):
         return None
     why = "failed, were cut off, are missing or have no finite value"
     more = f"; the claim allows {claim.allowed(planned)} (lost)" if n else ""
-    return Found(Verdict.cannot_tell, f"{planned - n} of {planned} runs {why}{more}", n)
+    return ClaimResult(Verdict.cannot_tell, f"{planned - n} of {planned} runs {why}{more}", n)
 
 
 def _shown(value: SqlValue, digits: int = DIGITS) -> str:

@@ -22,7 +22,7 @@ from sierra.config.claim_table import Claim, ClaimedEquivalence, ClaimedOrder
 from sierra.config.deliverable_tables import Comparison
 from sierra.config.project_file import LoadedProject
 from sierra.deliverables.claims.by_sql import lost
-from sierra.deliverables.claims.model import Found, Verdict
+from sierra.deliverables.claims.model import ClaimResult, Verdict
 from sierra.deliverables.comparison import cells_of
 from sierra.deliverables.run_statistics import RunTable
 from sierra.errors import NotFound, SierraError, UsageError
@@ -123,7 +123,7 @@ def cells_in_order(asked: Asked, runs: Mapping[str, RunTable]) -> list[Cell]:
 
 def test(
     project: LoadedProject, claim: Claim, asked: Asked, runs: Mapping[str, RunTable], cells: list[Cell], tests: int
-) -> Tested | Found:
+) -> Tested | ClaimResult:
     """Return the test of a claim, one of `tests`; or the finding that no test is possible. Raises SierraError.
 
     `runs` are those of each batch, and `cells` the result of `cells_in_order`.
@@ -184,7 +184,7 @@ def _beyond(pair: Pair, margin: float) -> bool:
     return pair.low is not None and pair.high is not None and (pair.low > margin or pair.high < -margin)
 
 
-def conclude(tested: Tested, p: float, family: Family) -> Found:
+def conclude(tested: Tested, p: float, family: Family) -> ClaimResult:
     """Return the finding of a test with its p value after correction for all tests of its family."""
     alpha, tests = tested.asked.alpha, family.tests
     only = tested.pairs[0] if len(tested.pairs) == 1 else None
@@ -194,8 +194,8 @@ def conclude(tested: Tested, p: float, family: Family) -> Found:
     value, low, high = (only.difference, only.low, only.high) if only else (None, None, None)
     chosen = f"; {family.selection}" if family.selection else ""
 
-    def found(verdict: Verdict, text: str) -> Found:
-        return Found(
+    def found(verdict: Verdict, text: str) -> ClaimResult:
+        return ClaimResult(
             verdict,
             text + chosen,
             n=tested.n,

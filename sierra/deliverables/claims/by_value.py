@@ -13,7 +13,7 @@ from sierra.config.project_file import LoadedProject
 from sierra.config.statistic_names import CENSORED
 from sierra.deliverables import paper_tables
 from sierra.deliverables.claims.by_sql import lost
-from sierra.deliverables.claims.model import Found, Verdict
+from sierra.deliverables.claims.model import ClaimResult, Verdict
 from sierra.deliverables.run_statistics import statistics, values_of_runs
 from sierra.errors import UsageError
 from sierra.stats.words import named
@@ -21,7 +21,7 @@ from sierra.store.store import Store
 from sierra.util.text import digits_apart, short_number
 
 
-def find(project: LoadedProject, store: Store, claim: Claim, value: ClaimedValue, batches: Mapping[str, str]) -> Found:
+def find(project: LoadedProject, store: Store, claim: Claim, value: ClaimedValue, batches: Mapping[str, str]) -> ClaimResult:
     """Return what the runs of a batch say about a value. Raises SierraError for a value that cannot be computed."""
     (batch,) = batches.values()
     runs = values_of_runs(project, store, batch, value.table, value.column, value.measure, value.threshold, value.where)
@@ -57,7 +57,7 @@ def find(project: LoadedProject, store: Store, claim: Claim, value: ClaimedValue
     what = f"{named(value.statistic)} of {runs.column}"
     if estimate is None or low is None or high is None:
         known = f"{what} = {estimate:.6g}{unit}, but " if estimate is not None else ""
-        return Found(
+        return ClaimResult(
             Verdict.cannot_tell,
             f"{known}{n} runs are too few for its interval; {expected}",
             n,
@@ -70,7 +70,7 @@ def find(project: LoadedProject, store: Store, claim: Claim, value: ClaimedValue
     expected = f"expected {short_number(value.expected, digits)} ± {short_number(margin)}{unit}"
     text = f"{what} = {known}{unit}, 95 % CI [{least}, {most}], {expected}"
     verdict = decide(low, high, value.expected - margin, value.expected + margin)
-    return Found(verdict, text, n, estimate, low, high, runs=each, notes=notes)
+    return ClaimResult(verdict, text, n, estimate, low, high, runs=each, notes=notes)
 
 
 def decide(low: float, high: float, least: float, most: float) -> Verdict:

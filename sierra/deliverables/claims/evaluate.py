@@ -15,7 +15,7 @@ from sierra.config.claim_table import DECISIONS, Claim
 from sierra.config.project_file import LoadedProject
 from sierra.deliverables.claims import by_sql, by_test, by_value
 from sierra.deliverables.claims.by_test import Family, Tested
-from sierra.deliverables.claims.model import Evaluated, Found, Ground, Registration, Verdict
+from sierra.deliverables.claims.model import ClaimResult, Evaluated, Ground, Registration, Verdict
 from sierra.deliverables.claims.pair_tables import PairTables, Prepared, families
 from sierra.deliverables.claims.registration import registrations
 from sierra.deliverables.claims.rests_on import BatchesOfClaims
@@ -95,11 +95,11 @@ def _find(
     tables: PairTables,
     name: str,
     rests: dict[str, tuple[str, ...]],
-) -> Found | Prepared:
+) -> ClaimResult | Prepared:
     """Return the finding about a claim, or its pairs, which are tested with those of others; note the batches it rests on."""
     claim = project.config.claims[name]
 
-    def find() -> Found | Prepared:
+    def find() -> ClaimResult | Prepared:
         own = known.of(name, claim)
         rests[name] = tuple(own.values())
         if claim.sql:
@@ -113,20 +113,20 @@ def _find(
     return _told(find)
 
 
-def _told(find: Callable[[], R]) -> R | Found:
+def _told(find: Callable[[], R]) -> R | ClaimResult:
     """Return the result of a step; if it raises, the finding that nothing can be told, with the reason."""
     try:
         return find()
     except DamagedFile:
         raise
     except SierraError as error:
-        return Found(Verdict.cannot_tell, one_line(error))
+        return ClaimResult(Verdict.cannot_tell, one_line(error))
 
 
-def _corrected(project: LoadedProject, found: Mapping[str, Found | Prepared]) -> dict[str, Found]:
+def _corrected(project: LoadedProject, found: Mapping[str, ClaimResult | Prepared]) -> dict[str, ClaimResult]:
     """Return the findings, with the tests of each family corrected together; one that is not possible counts with p = 1."""
     prepared = {name: one for name, one in found.items() if isinstance(one, Prepared)}
-    done = {name: one for name, one in found.items() if isinstance(one, Found)}
+    done = {name: one for name, one in found.items() if isinstance(one, ClaimResult)}
     for family, members in families(prepared):
         tests: dict[str, Tested] = {}
         for name, one in members.items():
@@ -140,7 +140,7 @@ def _corrected(project: LoadedProject, found: Mapping[str, Found | Prepared]) ->
     return done
 
 
-def _concluded(tests: Mapping[str, Tested], family: Family) -> dict[str, Found]:
+def _concluded(tests: Mapping[str, Tested], family: Family) -> dict[str, ClaimResult]:
     if not tests:
         return {}
     from sierra.stats.comparison.rank_tests import holm
@@ -152,7 +152,7 @@ def _concluded(tests: Mapping[str, Tested], family: Family) -> dict[str, Found]:
 def _evaluated(
     name: str,
     claim: Claim,
-    found: Found,
+    found: ClaimResult,
     ground: Ground,
     rests: tuple[str, ...],
     imported: Mapping[str, str],
@@ -165,7 +165,7 @@ def _evaluated(
         if one in imported
     )
     return Evaluated(
-        **{one.name: getattr(found, one.name) for one in fields(Found)} | {"notes": (*found.notes, *elsewhere)},
+        **{one.name: getattr(found, one.name) for one in fields(ClaimResult)} | {"notes": (*found.notes, *elsewhere)},
         name=name,
         says=claim.says,
         shown=", ".join(filter(None, shown)),

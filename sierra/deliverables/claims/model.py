@@ -68,7 +68,7 @@ class Registration:
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class ClaimResult:
     """The finding about one claim, without its name."""
 
     verdict: Verdict
@@ -98,7 +98,7 @@ class Found:
 
 
 @dataclass(frozen=True, slots=True)
-class Evaluated(Found):
+class Evaluated(ClaimResult):
     """The evaluation of one claim."""
 
     name: str = ""

@@ -24,10 +24,10 @@ from sierra.deliverables.claims.normal_form import normal_form
 from sierra.design.query import condition
 from sierra.errors import DamagedFile, SierraError
 from sierra.execution.sessions import Session
+from sierra.store.batch_data import BatchData
 from sierra.store.claim_records import NO_BATCH, claim_id
 from sierra.store.lamport_clock import number_of, stamp
 from sierra.store.row_types import RegisteredClaimRow
-from sierra.store.samples import Frame
 from sierra.store.store import Store
 from sierra.util.json_types import JsonView
 from sierra.util.lazy_definitions import dataclass
@@ -156,7 +156,7 @@ def _executions(project: LoadedProject, store: Store, batch: str, experiments: s
     """Return the executions that count in the experiments of a batch that a condition selects; "": in all."""
     ordinals = None
     if experiments:
-        with Frame(store, batch) as frame:
+        with BatchData(store, batch) as frame:
             labels = {axis.name: project.config.labels(axis) for axis in frame.axes()}
             ordinals = sorted(condition.matching(experiments, frame.axes(), frame.cells(), "experiments", labels))
     return store.select(_Counted, COUNTED, batch=batch, ordinals=ordinals)

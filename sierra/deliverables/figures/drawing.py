@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Literal
 
 from sierra.config.deliverable_tables import DEFAULT_FORMATS, Figure, Format
 from sierra.deliverables.figures.base import Explorable, kind_of, made_by
-from sierra.deliverables.record import Content, origin_of
+from sierra.deliverables.record import Deliverable, origin_of
 from sierra.errors import Missing, SierraError, UsageError
 from sierra.model import Axis, Value
 from sierra.store.data_hash import data_hash
@@ -111,7 +111,7 @@ class Drawing:
         cells = {str(ordinal): [[name, repr(value)] for name, value in at.items()] for ordinal, at in self.cells.items()}
         return digest("figure data", {**hashes, "cells": cells})
 
-    def content(self) -> Content:
+    def content(self) -> Deliverable:
         """Return everything that the figure's files depend on."""
         definition: dict[str, JsonView] = {
             "figure": self.figure.model_dump(mode="json", exclude_unset=True, by_alias=True),
@@ -129,7 +129,7 @@ class Drawing:
             definition["targets" if self.together_by == "target" else "batches"] = list(self.together)
         batches = tuple(self.together.values()) or (self.batch,)
         libraries = (f"sierra-experiments=={__version__}", *made_by(self.figure.kind))
-        return Content("figure", self.name, batches, definition, self.sql, self.data, libraries)
+        return Deliverable("figure", self.name, batches, definition, self.sql, self.data, libraries)
 
 
 def draw(drawing: Drawing, folder: Path) -> tuple[Path, ...]:

@@ -11,10 +11,12 @@ from sierra.config.field_types import RawTable
 from sierra.deliverables.figures import bands
 from sierra.deliverables.figures.base import Request, kind_of
 from sierra.deliverables.figures.drawing import Drawing
-from sierra.errors import UsageError
+from sierra.errors import NotFound, SierraError, UsageError
 from sierra.model import Axis, Value
 from sierra.stats import aggregate as stats
 from sierra.stats.needs import Needs
+from sierra.store.batch_data import MIXED, BatchData, OutputTable, RecordedColumn
+from sierra.store.union_files import TEXT
 from sierra.util.lazy_definitions import dataclass, replace
 from sierra.util.text import few, like, n_of
 
@@ -26,20 +28,71 @@ KEYS = ("experiment", "run")
 """The columns of results of `Needs.rows` that tell runs apart."""
 
 
-class Source(Protocol):
+class FigureSource(Protocol):
     """One output of one batch."""
 
     def check(self, columns: Sequence[str], *, numeric: bool) -> None:
         """Raise NotFound for a column that does not exist, UsageError for one that is not numeric but should be."""
 
-    def samples(self, column: str) -> stats.Frame:
-        """Return the frame of one column, for statistics."""
+    def samples(self, column: str) -> stats.Column:
+        """Return one column, for statistics."""
 
     def rows(self, statement: str) -> pa.Table:
         """Return the result of a statement on the relation `data`: see `Needs.rows`."""
 
     def seeds(self) -> Mapping[tuple[int, str], int]:
         """Return the seed of each run, by the position of its experiment and its id."""
+
+
+@dataclass(frozen=True, slots=True)
+class OutputRows:
+    """The rows of one output of a batch that count for a figure."""
+
+    data: BatchData
+    output: OutputTable
+    time: str
+    where: str = ""
+    by_mean: bool = False
+    experiments: tuple[int, ...] | None = None
+    """The positions of the experiments that count; None: all."""
+
+    @property
+    def condition(self) -> str:
+        """Return the SQL condition that rows must fulfil; "" if all rows count."""
+        chosen = "" if self.experiments is None else f'"# ordinal" IN ({", ".join(map(str, self.experiments))})'
+        return f"({self.where}\n) AND {chosen}" if self.where and chosen else self.where or chosen
+
+    def check(self, columns: Sequence[str], *, numeric: bool) -> None:
+        for column in columns:
+            if numeric and column in self.output.mixed:
+                raise UsageError(f"column {column!r} of output {self.name!r} {MIXED}; see {column + TEXT!r} in sierra sql")
+            known = self.output.columns if numeric else self.output.all_columns
+            if column not in known:
+                what = "numeric column" if numeric else "column"
+                raise NotFound(f"output {self.name!r} has no {what} {column!r}; it has {', '.join(known)}")
+
+    @property
+    def name(self) -> str:
+        return self.output.name
+
+    def samples(self, column: str, offset: int = 0) -> RecordedColumn:
+        return RecordedColumn(self.data, self.name, column, self.time, self.condition, offset)
+
+    def coverage(self, column: str) -> stats.Coverage:
+        """Return the amount of data that fulfils `where`. Raises SierraError if there is none."""
+        (row,) = self.rows("SELECT count(*) AS count FROM data").to_pylist()
+        if not row["count"]:
+            those = f"fulfils where = {self.where!r}" if self.where else "belongs to a run of the chosen groups"
+            raise SierraError(f"no row of output {self.name!r} {those}")
+        seen = stats.coverage(self.samples(column), several=True)
+        return replace(seen, selected=True, accepted=self.data.accepted_beside(self.name))
+
+    def rows(self, statement: str) -> pa.Table:
+        self.data.data(self.name, self.time, self.condition, timed='"# t"' in statement)
+        return self.data.sql(statement)
+
+    def seeds(self) -> Mapping[tuple[int, str], int]:
+        return self.data.seeds()
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +132,7 @@ def gather(
     figure: Figure,
     columns: tuple[str, ...],
     batch: Batch,
-    source: Source,
+    source: FigureSource,
     seen: stats.Coverage,
     rates: Container[str] = (),
     options: Mapping[str, RawTable] | None = None,
@@ -98,8 +151,8 @@ def gather(
     if needs.statistics or needs.chosen or needs.runs or needs.single:
         stats.check_times(seen)
     if needs.statistics or needs.chosen or needs.runs:
-        frames = {column: source.samples(column) for column in columns}
-        computed = stats.compute(figure, frames, needs, planned=batch.planned, known=seen, rates=rates, options=options)
+        samples = {column: source.samples(column) for column in columns}
+        computed = stats.compute(figure, samples, needs, planned=batch.planned, known=seen, rates=rates, options=options)
     rows = {key: source.rows(statement) for key, statement in needs.rows.items()}
     seen = _with_rows(rows[needs.sample], seen) if needs.sample else seen
     only = "; ".join((*_fixed(whole, batch.axes), *_only(figure)))
@@ -117,7 +170,7 @@ def gather(
     )
 
 
-def _seeded(runs: pa.Table, source: Source) -> pa.Table:
+def _seeded(runs: pa.Table, source: FigureSource) -> pa.Table:
     """Return the values of runs with their seeds."""
     seeds = source.seeds()
     keys = zip(runs.column("experiment").to_pylist(), runs.column("run").to_pylist(), strict=True)

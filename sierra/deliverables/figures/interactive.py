@@ -14,7 +14,7 @@ from matplotlib.typing import ColorType, LineStyleType
 from sierra.deliverables import html
 from sierra.deliverables.figures import axis_limits, bands, facets, style, thinning, timeseries
 from sierra.deliverables.figures.style import Look
-from sierra.deliverables.html import Chart, ChartAxis, Content, Series, tables
+from sierra.deliverables.html import Chart, ChartAxis, SectionContent, Series, tables
 from sierra.deliverables.html.tables import Table
 from sierra.model import Axis
 from sierra.util.arrow_columns import numpy_of
@@ -59,10 +59,10 @@ def page(drawing: Drawing, svg: bytes, origin: str) -> bytes:
     return html.page(shown.title, [html.section(shown)], metadata | {"sierra:sql": drawing.sql})
 
 
-def content(drawing: Drawing, svg: bytes, origin: str) -> Content:
+def content(drawing: Drawing, svg: bytes, origin: str) -> SectionContent:
     """Return the content of the section of a figure on a page."""
     charts = drawing.charts
-    return Content(
+    return SectionContent(
         drawing.title,
         charts,
         svg,

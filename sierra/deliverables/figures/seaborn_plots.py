@@ -56,7 +56,7 @@ class Grouped:
 
 
 @dataclass(frozen=True, slots=True)
-class Side:
+class GroupAxes:
     """Axes with groups side by side: each group has a colour, and there are `places` places."""
 
     plot: Axes
@@ -64,7 +64,7 @@ class Side:
     colours: Sequence[ColorType]
 
 
-def boxes(side: Side, summaries: Grouped) -> None:
+def boxes(side: GroupAxes, summaries: Grouped) -> None:
     """Draw boxes. Each has five values in `summaries`: the ends of the whiskers, the quartiles, and the median.
 
     The quartiles of five numbers are the second and the fourth, so that seaborn draws exactly these numbers.
@@ -73,7 +73,7 @@ def boxes(side: Side, summaries: Grouped) -> None:
     _side_by_side("boxplot", side, summaries, BOX, width=WIDTH, gap=GAP, whis=(0, 100), **look)
 
 
-def violins(side: Side, values: Grouped) -> None:
+def violins(side: GroupAxes, values: Grouped) -> None:
     """Draw densities from the smallest to the largest value, all of the same width: Gaussian kernels, bandwidth of Scott.
 
     On a logarithmic axis they are the densities of the logarithms.
@@ -82,12 +82,12 @@ def violins(side: Side, values: Grouped) -> None:
     _side_by_side("violinplot", side, values, VIOLIN, width=WIDTH, gap=GAP, density_norm="width", **look)
 
 
-def dots(side: Side, values: Grouped, *, size: float, jitter: float, marker: str = "o") -> None:
+def dots(side: GroupAxes, values: Grouped, *, size: float, jitter: float, marker: str = "o") -> None:
     """Draw a dot of `size` points for each value, moved aside by at most `jitter` (of the distance of two places)."""
     _side_by_side("stripplot", side, values, 1, size=size, marker=marker, jitter=jitter or False, alpha=0.7, linewidth=0)
 
 
-def _side_by_side(function: str, side: Side, values: Grouped, strength: float, **look: object) -> None:
+def _side_by_side(function: str, side: GroupAxes, values: Grouped, strength: float, **look: object) -> None:
     """Call one of seaborn's categorical functions; `strength` is 1 for the colours of the groups, less for lighter ones."""
     if not len(values.value):
         return

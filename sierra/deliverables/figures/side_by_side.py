@@ -18,7 +18,7 @@ from matplotlib.patches import Patch
 from sierra.deliverables.figures import facets, sampled_runs, seaborn_plots, style, summary
 from sierra.deliverables.figures.distributions import has_density
 from sierra.deliverables.figures.facets import Panel, Panels
-from sierra.deliverables.figures.seaborn_plots import Grouped, Side
+from sierra.deliverables.figures.seaborn_plots import GroupAxes, Grouped
 from sierra.deliverables.figures.style import Floats
 from sierra.deliverables.figures.summary import Group
 
@@ -56,7 +56,7 @@ class _Content:
         self._panel, self._within = panel, within
         self.groups = summary.looks_of_groups(within)
         self.colours = [group.colour for group in self.groups]
-        self.side = Side(panel.plot, len(within.first.values), self.colours)
+        self.side = GroupAxes(panel.plot, len(within.first.values), self.colours)
         self.width = seaborn_plots.WIDTH * (1 - seaborn_plots.GAP) / len(self.colours)
 
     def at(self, row: Mapping[str, int]) -> tuple[float, int]:

@@ -5,12 +5,12 @@ in it, by their hashes, and pictures in `data:` addresses. The same content give
 
     table = Table("swarm", ("time", "coverage"), ((0, 1), (0.1, 0.4)))
     chart = Chart(table, x=ChartAxis(0, "time [s]"), y=ChartAxis(1, "coverage"), series=(Series("all", "#0072B2", 0, 2),))
-    data = page("Coverage", [section(Content("Coverage", charts=(chart,), tables=(table,)))])
+    data = page("Coverage", [section(SectionContent("Coverage", charts=(chart,), tables=(table,)))])
 """
 
 from sierra.deliverables.html.charts import Chart, ChartAxis, Series
 from sierra.deliverables.html.page import page
-from sierra.deliverables.html.sections import Content, section
+from sierra.deliverables.html.sections import SectionContent, section
 from sierra.deliverables.html.tables import Table
 
-__all__ = ["Chart", "ChartAxis", "Content", "Series", "Table", "page", "section"]
+__all__ = ["Chart", "ChartAxis", "SectionContent", "Series", "Table", "page", "section"]

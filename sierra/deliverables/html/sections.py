@@ -14,7 +14,7 @@ from sierra.util.lazy_definitions import dataclass, field
 
 
 @dataclass(frozen=True, slots=True)
-class Content:
+class SectionContent:
     """The content of a section. Every table of a chart must be among the tables."""
 
     title: str
@@ -28,12 +28,12 @@ class Content:
     """Facts about where the numbers come from, by name."""
 
 
-def section(content: Content) -> Markup:
+def section(content: SectionContent) -> Markup:
     """Return a section as an element of HTML."""
     return element("section", joined(_lines(content), "\n"))
 
 
-def _lines(content: Content) -> Iterator[Markup]:
+def _lines(content: SectionContent) -> Iterator[Markup]:
     yield element("h2", content.title, dir="auto")
     if content.picture:
         image = element("img", alt=". ".join((content.title, *content.notes)), src=svg_address(content.picture))
@@ -54,7 +54,7 @@ def svg_address(svg: bytes) -> str:
     return f"data:image/svg+xml;base64,{base64.b64encode(svg).decode()}"
 
 
-def _origin(content: Content) -> Markup:
+def _origin(content: SectionContent) -> Markup:
     facts = (joined((element("dt", name), element("dd", fact))) for name, fact in content.origin.items())
     summary = element("summary", "Where these numbers come from")
     known = joined((summary, element("dl", joined(("", *facts, ""), "\n"))))
@@ -62,7 +62,7 @@ def _origin(content: Content) -> Markup:
     return element("details", joined((known, sql, ""), "\n"))
 
 
-def data_element(content: Content) -> Markup:
+def data_element(content: SectionContent) -> Markup:
     """Return the tables and charts as an element with data for scripts."""
     found: Data = {
         "tables": [tables.as_data(table) for table in content.tables],

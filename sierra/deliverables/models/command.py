@@ -25,7 +25,7 @@ from sierra.design.run_values import Declared
 from sierra.errors import SierraError, UsageError
 from sierra.execution import commands
 from sierra.provenance import referenced_files
-from sierra.store.samples import Frame
+from sierra.store.batch_data import BatchData
 from sierra.store.store import Store
 from sierra.util import bounded_program
 from sierra.util.fs import inside
@@ -43,7 +43,7 @@ SHOWN = 200
 
 
 def predict(
-    model: Model, project: LoadedProject, store: Store, frame: Frame, place: str
+    model: Model, project: LoadedProject, store: Store, frame: BatchData, place: str
 ) -> tuple[Mapping[str, Sequence[object]], Mapping[str, JsonView]]:
     """Return the table that a model's program prints, by column, and what it was made from, with hashes.
 
@@ -140,8 +140,8 @@ def _parsed(printed: bytes) -> dict[str, Sequence[object]]:
     names = [name.strip() for name in header]
     if len(set(names)) < len(names):
         raise UsageError(f"it printed two columns of one name: {', '.join(map(one_line, names))}")
-    for place, row in enumerate(rows, 2):
+    for line, row in enumerate(rows, 2):
         if len(row) != len(names):
-            raise UsageError(f"row {place} of its CSV has {len(row)} values, but the header has {len(names)}")
+            raise UsageError(f"row {line} of its CSV has {len(row)} values, but the header has {len(names)}")
     columns = zip(*rows, strict=True) if rows else [()] * len(names)
     return {name: [value.strip() for value in column] for name, column in zip(names, columns, strict=True)}

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from sierra.config.model_table import Model
 from sierra.config.project_file import LoadedProject
@@ -19,13 +19,13 @@ from sierra.deliverables.models.predictions import Listed, NotVaried, Prediction
 from sierra.deliverables.models.values_in_figure import over_time, predicted
 from sierra.design.factorial_design import GROUPED
 from sierra.errors import DamagedFile, Missing, SierraError, UsageError
-from sierra.store.samples import Frame
+from sierra.store.batch_data import BatchData
 from sierra.store.store import Store
 from sierra.util.text import like
 
 if TYPE_CHECKING:
     from sierra.deliverables.figures.drawing import Drawing
-    from sierra.stats.aggregate import Frame as Samples
+    from sierra.deliverables.figures.gather import OutputRows
 
 ENDS = """
 SELECT experiment, min(last) AS low, max(last) AS high
@@ -34,28 +34,10 @@ FROM (SELECT experiment, run, max(t) AS last FROM samples WHERE isfinite(t) GROU
 """The times at which the runs of each experiment end: the first and the last of them."""
 
 
-class Data(Protocol):
-    """The data of a figure: one output or derived table of the batch."""
-
-    @property
-    def name(self) -> str: ...
-
-    @property
-    def time(self) -> str:
-        """The name of the time column; "" if there is none."""
-
-    @property
-    def by_mean(self) -> bool:
-        """True if runs count by their mean, because they wrote events and no measure was chosen."""
-
-    def samples(self, column: str) -> Samples:
-        """Return the frame of one column, for statistics."""
-
-
 class Models:
     """The models of a project for one batch."""
 
-    def __init__(self, project: LoadedProject, store: Store, frame: Frame) -> None:
+    def __init__(self, project: LoadedProject, store: Store, frame: BatchData) -> None:
         self._project, self._store, self._frame = project, store, frame
         self._made: dict[tuple[str, str], Prediction | SierraError] = {}
         self._joined: set[str] = set()
@@ -63,32 +45,32 @@ class Models:
         self.failed: dict[str, str] = {}
         """The models that a figure should show but cannot, and why."""
 
-    def added(self, name: str, drawing: Drawing, data: Data) -> Drawing:
+    def added(self, name: str, drawing: Drawing, data: OutputRows) -> Drawing:
         """Return the drawing of a figure with the models that join it, before its times become seconds."""
-        found, problems = self._of_figure(name, drawing, data)
-        if not found and not problems:
+        shown, problems = self._of_figure(name, drawing, data)
+        if not shown and not problems:
             return drawing
         self.failed |= problems
-        self._notes |= dict.fromkeys(filter(None, (one.problem for one in found)))
+        self._notes |= dict.fromkeys(filter(None, (model.problem for model in shown)))
         lost = [f"without model {called}, which failed" for called in problems]
-        texts = [f"-- model {one.name}\n{one.text}" for one in found]
+        texts = [f"-- model {model.name}\n{model.text}" for model in shown]
         return replace(
             drawing,
-            models=tuple(found),
+            models=tuple(shown),
             failed_models=problems,
-            note="; ".join(filter(None, (drawing.note, *(one.note for one in found), *lost))),
+            note="; ".join(filter(None, (drawing.note, *(model.note for model in shown), *lost))),
             sql="\n\n".join(filter(None, (drawing.sql, *texts))),
         )
 
-    def _of_figure(self, name: str, drawing: Drawing, data: Data) -> tuple[list[Predicted], dict[str, str]]:
+    def _of_figure(self, name: str, drawing: Drawing, data: OutputRows) -> tuple[list[Predicted], dict[str, str]]:
         """Return the models that join a figure, and why others cannot."""
-        found: list[Predicted] = []
+        shown: list[Predicted] = []
         problems: dict[str, str] = {}
         for called, model in self.declared.items():
             try:
                 if not self._joins(called, model, name, drawing, data):
                     continue
-                found.append(self._predicted(called, model, drawing, data))
+                shown.append(self._predicted(called, model, drawing, data))
             except (DamagedFile, Missing):
                 raise
             except SierraError as error:
@@ -96,14 +78,14 @@ class Models:
                 if not isinstance(error, NotVaried):
                     problems[called] = str(error)
             self._joined.add(called)
-        return found, problems
+        return shown, problems
 
     @property
     def declared(self) -> Mapping[str, Model]:
         """Return the declared models by name."""
         return self._project.config.models
 
-    def alone(self, name: str, drawing: Drawing, data: Data) -> Drawing:
+    def alone(self, name: str, drawing: Drawing, data: OutputRows) -> Drawing:
         """Return a drawing of its column with one model. Raises SierraError."""
         return replace(drawing, models=(self._predicted(name, self.declared[name], drawing, data),))
 
@@ -125,10 +107,10 @@ class Models:
                 self._made[name, time] = self._make(name, self.declared[name], time)
             except SierraError as error:
                 self._made[name, time] = error
-        found = self._made[name, time]
-        if isinstance(found, SierraError):
-            raise found
-        return found
+        prediction = self._made[name, time]
+        if isinstance(prediction, SierraError):
+            raise prediction
+        return prediction
 
     def _make(self, name: str, model: Model, time: str) -> Prediction:
         from sierra.deliverables.models import command
@@ -147,11 +129,11 @@ class Models:
             table = {column: rows.column(column).to_pylist() for column in rows.column_names}
             text = self._frame.statements(definition.name)
             facts = {"sql": definition.sql}
-        found, over_time, notes = predictions.listed(table, model.column, cells, time, variables)
+        listed, over_time, notes = predictions.listed(table, model.column, cells, time, variables)
         self._notes |= dict.fromkeys(f"model {name}: {note}" for note in notes)
-        return Listed(found, over_time, text, facts)
+        return Listed(listed, over_time, text, facts)
 
-    def _joins(self, name: str, model: Model, figure_name: str, drawing: Drawing, data: Data) -> bool:
+    def _joins(self, name: str, model: Model, figure_name: str, drawing: Drawing, data: OutputRows) -> bool:
         """Return whether a model joins a figure. Raises UsageError if it names the figure, but cannot be drawn in it."""
         named = figure_name in model.figures
         if model.figures and not named:
@@ -161,7 +143,7 @@ class Models:
             raise UsageError(f"figure {figure_name} cannot show it: {obstacle}")
         return not obstacle
 
-    def _obstacle(self, name: str, model: Model, drawing: Drawing, data: Data, *, named: bool) -> str:
+    def _obstacle(self, name: str, model: Model, drawing: Drawing, data: OutputRows, *, named: bool) -> str:
         """Return why a figure cannot show a model; "" if it can. Its values are computed only if nothing else is in the way."""
         figure = drawing.figure
         if figure.columns != (model.column,):
@@ -197,12 +179,12 @@ class Models:
             return f"no output has column {model.column!r}; a derived table must be named (table)"
         return f"none shows {model.column!r} as it predicts it; see its measure"
 
-    def _predicted(self, name: str, model: Model, drawing: Drawing, data: Data) -> Predicted:
+    def _predicted(self, name: str, model: Model, drawing: Drawing, data: OutputRows) -> Predicted:
         prediction = self.prediction(name, data.time)
         ends = self._ends(model, data) if prediction.over_time and not over_time(drawing) else {}
         return predicted(name, model.label or name.replace("_", " "), prediction, drawing, ends)
 
-    def _ends(self, model: Model, data: Data) -> Mapping[int, float | None]:
+    def _ends(self, model: Model, data: OutputRows) -> Mapping[int, float | None]:
         """Return the time at which the runs of each experiment end; None if they end at different times."""
         rows = data.samples(model.column).sql(ENDS).to_pylist()
         return {row["experiment"]: row["low"] if row["low"] == row["high"] else None for row in rows}

@@ -39,15 +39,15 @@ def predicted(name: str, label: str, prediction: Prediction, drawing: Drawing, e
     if not rows.values:
         reasons = few([*rows.lacking], 3) or "the data have no times"
         raise UsageError(f"it has no value for any experiment of the batch: {reasons}")
-    found = rows.table(over_time=timed)
+    rows_of_model = rows.table(over_time=timed)
     center, interval = _compared(drawing)
     return Predicted(
         name=name,
         label=label,
-        table=found,
+        table=rows_of_model,
         text=prediction.text,
         facts=prediction.facts,
-        deviation=deviation.deviation(deviation.points(found, table, center, interval)),
+        deviation=deviation.deviation(deviation.points(rows_of_model, table, center, interval)),
         lacking=rows.lacking,
         points=rows.points,
     )

@@ -28,11 +28,11 @@ from sierra.deliverables.figures.drawing import Drawing, check, rendered
 from sierra.deliverables.gallery import Gallery
 from sierra.deliverables.kinds import InPaper
 from sierra.deliverables.paper import numbers
-from sierra.deliverables.record import Content, origin_of
+from sierra.deliverables.record import Deliverable, origin_of
 from sierra.design.query.query_request import QueryRequest
 from sierra.errors import DamagedFile, SierraError, UsageError
 from sierra.execution.batches_of_queries import BatchesOfQueries, labelled
-from sierra.store.samples import Frame
+from sierra.store.batch_data import BatchData
 from sierra.store.store import Store
 from sierra.util.fs import fitting
 from sierra.util.hashing import digest
@@ -52,7 +52,7 @@ class PaperItem:
     """One deliverable of a paper."""
 
     name: str
-    content: Content
+    content: Deliverable
     data: str
     """The hash of the values that it shows."""
     paths: tuple[str, ...]
@@ -185,7 +185,7 @@ class Galleries:
 
     def of(self, batch: str) -> Gallery:
         if batch not in self._known:
-            frame = self._frames.enter_context(Frame(self._store, batch))
+            frame = self._frames.enter_context(BatchData(self._store, batch))
             self._known[batch] = Gallery(self._project, self._store, frame)
         return self._known[batch]
 
@@ -237,7 +237,7 @@ def _added(one: InPaper, batches: Mapping[str, str], galleries: Galleries) -> Pa
     return PaperItem(one.name, content, content.data, tuple(f"{one.table}/{name}" for name in names), files, same_bytes=False)
 
 
-def _table(made: declared_tables.Made, claims: str) -> dict[str, bytes]:
+def _table(made: declared_tables.ComputedTable, claims: str) -> dict[str, bytes]:
     """Return the files of a table for papers: its LaTeX, with claims in its caption or else below it, and its SQL."""
     content, name = made.content(), fitting(made.name)
     table = made.table
@@ -274,14 +274,14 @@ def _numbers(found: BatchesOfQueries, compared: Mapping[str, Compared], package:
     }
     data = digest("numbers", {name: text for name, (text, _) in every.items()})
     sql = "\n\n".join(f"-- {name}\n{number.sql}" for name, number in config.numbers.items() if number.sql)
-    content = Content(NUMBERS, NUMBERS, tuple(batches), definition, sql, data, (f"sierra-experiments=={__version__}",))
+    content = Deliverable(NUMBERS, NUMBERS, tuple(batches), definition, sql, data, (f"sierra-experiments=={__version__}",))
     paths = (f"{NUMBERS}.tex", *([f"{SQL}/{NUMBERS}.sql"] if sql else []))
     if package:
         every["package"] = package, ""
     return PaperItem(NUMBERS, content, _with(data, package), paths, partial(_macros, content, every, config.paper.prefix))
 
 
-def _macros(content: Content, shown: Mapping[str, tuple[str, str]], prefix: str) -> dict[str, bytes]:
+def _macros(content: Deliverable, shown: Mapping[str, tuple[str, str]], prefix: str) -> dict[str, bytes]:
     """Return the file with a macro for each number, and that with their SQL."""
     origin = origin_of(content.batches[0], content.data, *content.batches[1:])
     lines = [rf"\newcommand{{\{prefix}{name}}}{{{text}}}{f' % {why}' if why else ''}" for name, (text, why) in shown.items()]

@@ -42,7 +42,7 @@ MOST = 1000
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
+class ReportSource:
     """Where a report comes from."""
 
     project: LoadedProject
@@ -85,7 +85,7 @@ class _Parts:
     figures: Figures
 
 
-def received(source: Source) -> Source:
+def received(source: ReportSource) -> ReportSource:
     """Return the source without what would execute programs of a package: models by commands."""
     if source.received is None:
         return source
@@ -104,7 +104,7 @@ def _without_commands(config: Project) -> Project:
 
 
 def of_batches(
-    source: Source, batches: Sequence[str], tell: Callable[[str], None] = lambda text: None, every: str = ""
+    source: ReportSource, batches: Sequence[str], tell: Callable[[str], None] = lambda text: None, every: str = ""
 ) -> Report:
     """Return the report of batches: of one, or of several with a list at the beginning.
 
@@ -123,7 +123,7 @@ def of_batches(
     return replace(_several(source, states, found, compared, tell, every or f"{len(states)} batches"), title=every)
 
 
-def _list(source: Source, title: str) -> Report:
+def _list(source: ReportSource, title: str) -> Report:
     """Return the report of too many batches: the list of them, the last one first."""
     listed = list_batches.batches(source.store)[::-1]
     remedy = "name some, as in: sierra report HASH HASH" if source.received is None else "see: sierra open FILE.zip explore"
@@ -132,7 +132,9 @@ def _list(source: Source, title: str) -> Report:
     return Report(data, [one.batch for one in listed], (note,), complete=False)
 
 
-def _single(source: Source, state: BatchState, found: Claims, compared: Comparisons, tell: Callable[[str], None]) -> Report:
+def _single(
+    source: ReportSource, state: BatchState, found: Claims, compared: Comparisons, tell: Callable[[str], None]
+) -> Report:
     place = Place()
     of_claims = claims.section(source.project, found, place)
     of_groups = comparisons.section(compared.shown, compared.notes, place)
@@ -142,7 +144,7 @@ def _single(source: Source, state: BatchState, found: Claims, compared: Comparis
 
 
 def _several(
-    source: Source,
+    source: ReportSource,
     states: Sequence[BatchState],
     found: Claims,
     compared: Comparisons,
@@ -178,7 +180,7 @@ def _made(data: bytes, states: Sequence[BatchState], every: Sequence[_Parts], no
 
 
 def _parts(
-    source: Source,
+    source: ReportSource,
     state: BatchState,
     place: Place,
     between: Sequence[Section | None],

@@ -9,9 +9,9 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from sierra.deliverables.record import Content, Recorder, origin_of, parsing
+from sierra.deliverables.record import Deliverable, Recorder, origin_of, parsing
 from sierra.deliverables.report import make
-from sierra.deliverables.report.make import Report, Source
+from sierra.deliverables.report.make import Report, ReportSource
 from sierra.deliverables.report.page import ORIGIN
 from sierra.deliverables.report.results import REPORT
 from sierra.errors import Missing, SierraError
@@ -41,10 +41,10 @@ def named(made: Report) -> bytes:
     return made.page.replace(UNNAMED, f'<meta name="{ORIGIN}" content="{line}">'.encode(), 1)
 
 
-def content(name: str, made: Report) -> Content:
+def content(name: str, made: Report) -> Deliverable:
     """Return everything that the file of a report depends on. `name` is that of its file, without ending."""
     made_by = (SIERRA, *made.libraries)
-    return Content(REPORT, name, tuple(made.batches), {"title": made.title}, "\n\n".join(made.sql), data(made), made_by)
+    return Deliverable(REPORT, name, tuple(made.batches), {"title": made.title}, "\n\n".join(made.sql), data(made), made_by)
 
 
 def record(store: Store, root: Path, file: Path, made: Report) -> list[str]:
@@ -65,7 +65,7 @@ def record(store: Store, root: Path, file: Path, made: Report) -> list[str]:
     return []
 
 
-def again(source: Source, row: DeliverableRow) -> Content:
+def again(source: ReportSource, row: DeliverableRow) -> Deliverable:
     """Return the content of a recorded report, made from the store as it is now. Raises SierraError for another version's."""
     if SIERRA not in row.made_by:
         raise SierraError(f"{' '.join(row.made_by[:1])} wrote it, and pages of SIERRA {__version__} differ; {AGAIN}")

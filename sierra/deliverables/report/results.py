@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 
-from sierra.deliverables import comparison, declared_tables, paper_tables
-from sierra.deliverables.declared_tables import Made
+from sierra.deliverables import comparison, declared_tables, default_figures, paper_tables
+from sierra.deliverables.declared_tables import ComputedTable
 from sierra.deliverables.figures.base import made_by
 from sierra.deliverables.figures.drawing import Drawing, explorable
 from sierra.deliverables.gallery import Gallery
 from sierra.deliverables.html.charts import Chart, chart_element
-from sierra.deliverables.html.sections import Content, data_element
+from sierra.deliverables.html.sections import SectionContent, data_element
 from sierra.deliverables.html.tables import table_element
 from sierra.deliverables.record import origin_of
 from sierra.deliverables.report.batch_state import BatchState
@@ -18,8 +18,8 @@ from sierra.deliverables.report.moving_pictures import Films
 from sierra.deliverables.report.parts import Place, Section, auto, details, note, picture, sql, table
 from sierra.errors import DamagedFile, Missing, NotInstalled, SierraError
 from sierra.store import deliverable_records
+from sierra.store.batch_data import AllFailed, BatchData
 from sierra.store.row_types import DeliverableRow
-from sierra.store.samples import AllFailed, Frame
 from sierra.util.hashing import short
 from sierra.util.html_elements import Markup, element, joined
 from sierra.util.lazy_definitions import dataclass, regex
@@ -48,7 +48,7 @@ DRAWN = ("figure", comparison.KIND, declared_tables.KIND, REPORT)
 class Figures:
     """The figures of a batch, as contents of sections, and notes on those that could not be drawn."""
 
-    contents: Sequence[Content]
+    contents: Sequence[SectionContent]
     notes: Sequence[str]
     libraries: Sequence[str]
     """The libraries that draw them, as name==version."""
@@ -61,9 +61,9 @@ def figures(state: BatchState, tell: Callable[[str], None]) -> Figures:
     """
     contents, failed = [], []
     libraries: set[str] = set()
-    with Frame(state.store, state.id) as frame:
+    with BatchData(state.store, state.id) as frame:
         gallery = Gallery(state.project, state.store, frame)
-        wanted, notes = gallery.wanted(None)
+        wanted, notes = default_figures.wanted(gallery, None)
         for number, (name, figure) in enumerate(wanted.items(), 1):
             tell(f"figure {number} of {len(wanted)}: {name}")
             try:
@@ -77,7 +77,7 @@ def figures(state: BatchState, tell: Callable[[str], None]) -> Figures:
     return Figures(contents, (*failed, *notes, *more), sorted(libraries))
 
 
-def _content(drawing: Drawing, svg: bytes) -> Content:
+def _content(drawing: Drawing, svg: bytes) -> SectionContent:
     from sierra.deliverables.figures import interactive
 
     return interactive.content(drawing, svg, origin_of(drawing.batch, drawing.data))
@@ -90,7 +90,7 @@ def figure_section(found: Figures, place: Place) -> Section:
     return Section("figures", "Figures", joined((*lines, *map(note, found.notes))))
 
 
-def _figure(content: Content, place: Place, number: int) -> Markup:
+def _figure(content: SectionContent, place: Place, number: int) -> Markup:
     name = f"{place.prefix}figure-{number}"
     tables = [table_element(one, k) for k, one in enumerate(content.tables)]
     charts = [chart_element(one, k, place.innermost) for k, one in enumerate(content.charts)]
@@ -118,7 +118,7 @@ def _explorer(charts: Sequence[Markup]) -> Markup:
     return details("Explore: values, intervals and n at each point", lost, element("div", joined(charts), class_="charts"))
 
 
-def described(content: Content) -> str:
+def described(content: SectionContent) -> str:
     """Return a text for those who do not see a figure: what it shows, and the numbers at its end or its ends."""
     if not content.charts:
         return f"{content.title}. {' '.join(content.notes)} The numbers are in the data below the figure."
@@ -171,7 +171,7 @@ def table_section(state: BatchState, place: Place) -> tuple[Section | None, list
     return (Section("tables", "Tables", joined(lines)) if lines else None), failed
 
 
-def _table(made: Made, place: Place) -> Iterator[Markup]:
+def _table(made: ComputedTable, place: Place) -> Iterator[Markup]:
     yield auto(made.table.caption or made.name, place.inner)
     yield paper_table(made.table)
     yield sql(made.sql)

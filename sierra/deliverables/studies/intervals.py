@@ -13,8 +13,8 @@ from sierra.errors import NotFound, UsageError
 from sierra.stats.looks import estimate
 from sierra.stats.selection import PARTS, Selection
 from sierra.stats.shipped import ORDER_STATISTICS
+from sierra.store.batch_data import BatchData
 from sierra.store.row_types import LookIntervalRow
-from sierra.store.samples import Frame
 from sierra.store.store import Store
 from sierra.util.lazy_definitions import dataclass
 from sierra.util.text import like
@@ -44,7 +44,7 @@ def check(rule: Rule, project: LoadedProject, level: float) -> None:
 
 def find_columns(store: Store, batch: str, rule: Rule) -> None:
     """Raise NotFound for a condition that does not name one column of a batch's runs. Values are not looked at."""
-    with Frame(store, batch) as frame:
+    with BatchData(store, batch) as frame:
         for condition in rule.conditions:
             _table(frame, condition)
 
@@ -53,7 +53,7 @@ def see(project: LoadedProject, store: Store, batch: str, rule: Rule, level: flo
     """Return the intervals of a batch's runs at this confidence. Raises NotFound, UsageError for a column that does not fit."""
     intervals: list[LookIntervalRow] = []
     notes: dict[str, None] = {}
-    with Frame(store, batch) as frame:
+    with BatchData(store, batch) as frame:
         gallery = Gallery(project, store, frame, only=frame.names)
         for condition in rule.conditions:
             figure = Figure(table=_table(frame, condition), column=(condition.column,))
@@ -67,7 +67,7 @@ def see(project: LoadedProject, store: Store, batch: str, rule: Rule, level: flo
     return Seen(tuple(intervals), tuple(notes))
 
 
-def _table(frame: Frame, condition: Condition) -> str:
+def _table(frame: BatchData, condition: Condition) -> str:
     """Return the table that a condition means. Raises NotFound for an unknown table or column, or for several such tables."""
     if condition.table and condition.table not in frame.names:
         raise NotFound(

@@ -25,8 +25,9 @@ from sierra.replay import compare_outputs
 from sierra.replay.compare_values import Agreement, Verdict, distance
 from sierra.stats import student_t
 from sierra.stats.rates import Interval, square_and_add
-from sierra.store.samples import Frame, names_time
+from sierra.store.batch_data import BatchData
 from sierra.store.store import Snapshot, Store
+from sierra.store.time_axis import names_time
 from sierra.util.hashing import short
 from sierra.util.lazy_definitions import dataclass
 from sierra.util.text import counted, digits_apart, few, short_number
@@ -252,7 +253,7 @@ def _columns(store: Store, project: LoadedProject, before: ComparedRuns, after: 
     """Return the numeric columns that both sides wrote, by output, without time columns."""
     written = []
     for side in (before, after):
-        with Frame(store, side.batch.batch) as frame:
+        with BatchData(store, side.batch.batch) as frame:
             written.append({table.name: table.columns for table in frame.outputs(frame.written)})
     times = {name: output.time for name, output in project.config.outputs.items()}
     return {

@@ -21,10 +21,10 @@ def explorer(project: Project, *, port: int = 0, write: bool = False, package: R
     from sierra.extensions.explorer.answers import Answers
     from sierra.extensions.explorer.server import Server
 
-    def source() -> make.Source:
+    def source() -> make.ReportSource:
         """Return the batches with the project's file as it is now."""
         if package is None:
-            return make.Source(Project(project.root).loaded, project.store, project.compare_declared)
+            return make.ReportSource(Project(project.root).loaded, project.store, project.compare_declared)
         from sierra.packages.reading import report
 
         return make.received(report.source(package))

@@ -19,6 +19,7 @@ from sierra.config.deliverable_tables import Comparison, Figure
 from sierra.config.plugin_registry import FIGURES
 from sierra.config.project_file import LoadedProject
 from sierra.config.validate import options, valid_name
+from sierra.deliverables import default_figures
 from sierra.deliverables.gallery import Gallery
 from sierra.deliverables.html.tables import exact
 from sierra.deliverables.record import origin_of
@@ -30,9 +31,9 @@ from sierra.extensions.explorer.limit import AGAIN_S, Limit
 from sierra.extensions.explorer.run_table import ConditionError, RunTable, Wanted
 from sierra.extensions.explorer.snapshots import Kept, Opened, T
 from sierra.extensions.explorer.tickets import ServedFile, Tickets
+from sierra.store.batch_data import BatchData
 from sierra.store.derived_tables import Limits, Rules
 from sierra.store.read_lock import Shared
-from sierra.store.samples import Frame
 from sierra.store.schema import TABLE_NAMES
 from sierra.store.store import Snapshot, Store
 from sierra.util.hashing import digest, short
@@ -40,7 +41,7 @@ from sierra.util.json_types import JsonView
 
 if TYPE_CHECKING:
     from sierra.deliverables.figures.drawing import Drawing
-    from sierra.deliverables.report.make import Source
+    from sierra.deliverables.report.make import ReportSource
     from sierra.store.sql_result import Answer, SqlValue
 
 ROWS = 1000
@@ -68,7 +69,7 @@ STOPPED = "stopped"
 class Answers:
     """The answers about one project or package."""
 
-    def __init__(self, source: Callable[[], Source], store: Store, *, writes: bool = False, wall: float = WALL_S) -> None:
+    def __init__(self, source: Callable[[], ReportSource], store: Store, *, writes: bool = False, wall: float = WALL_S) -> None:
         """`source` reads the project again. With `writes`, charts may be written to `sierra.toml`. `wall`: time limit, in s."""
         self._source = source
         self._opened = Opened()
@@ -85,7 +86,7 @@ class Answers:
         self._limit: Limit | None = None
         self._part = ""
         """The part of a report that is made now, in words."""
-        self._snapshots, self._frames, self._tables = Kept[Snapshot](), Kept[Frame](), Kept[RunTable]()
+        self._snapshots, self._frames, self._tables = Kept[Snapshot](), Kept[BatchData](), Kept[RunTable]()
         self._batches: BatchList | None = None
         self.tickets, self._hashes = Tickets(), Hashes()
 
@@ -214,7 +215,7 @@ class Answers:
         project = source.project
         with self._frame(batch) as frame:
             gallery = Gallery(project, self._store, frame)
-            figures, notes = gallery.wanted(None)
+            figures, notes = default_figures.wanted(gallery, None)
             return {
                 **self._facts(frame.batch),
                 "variables": [axis.name for axis in frame.axes()],
@@ -274,7 +275,7 @@ class Answers:
             opened.enter_context(self._limited())
             batches = [self._store.batch_id(prefix) for prefix in (batch, *others)]
             groups = together.labelled(project, self._store, batches)
-            frames = {label: opened.enter_context(Frame(self._store, prefix)) for label, prefix in groups.items()}
+            frames = {label: opened.enter_context(BatchData(self._store, prefix)) for label, prefix in groups.items()}
             drawing = together.drawing(project, self._store, name, figure, frames)
             yield drawing, together.command("figures", groups, name)
 
@@ -371,11 +372,11 @@ class Answers:
         return snapshot
 
     @contextmanager
-    def _frame(self, batch: str, sql: str = "") -> Iterator[Frame]:
+    def _frame(self, batch: str, sql: str = "") -> Iterator[BatchData]:
         """Yield the data of a batch. `sql`: the statement of a figure, which is added to the frame as a table."""
         with self._reading(self._frames) as key:
             whole = self._id(batch, key[0])
-            yield self._frames.opened((*key, whole, sql), lambda: Frame(self._store, whole))
+            yield self._frames.opened((*key, whole, sql), lambda: BatchData(self._store, whole))
 
     @contextmanager
     def _reading(self, kept: Kept[T], wall: float | None = None) -> Iterator[tuple[object, ...]]:

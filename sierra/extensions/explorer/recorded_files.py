@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path, PurePosixPath
 
 from sierra.deliverables.report import moving_pictures
-from sierra.deliverables.report.make import Source
+from sierra.deliverables.report.make import ReportSource
 from sierra.errors import SierraError
 from sierra.extensions.explorer.checked_files import Hashes
 from sierra.extensions.explorer.tickets import ServedContent, ServedFile, Tickets
@@ -31,7 +31,7 @@ Raises TooLarge for a file that cannot be played because of its size.
 """
 
 
-def videos(source: Source, store: Store, batch: str, tickets: Tickets, hashes: Hashes) -> list[JsonView]:
+def videos(source: ReportSource, store: Store, batch: str, tickets: Tickets, hashes: Hashes) -> list[JsonView]:
     """Return the recorded videos of a batch: of each, the address of the first file that is as it was recorded, or why not."""
     find = _in_project(source.project.root, hashes) if source.read is None else _in_package(source.read)
     rows = [row for row in deliverable_records.latest(store, batch) if moving_pictures.by_name(row.files)]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from sierra.cli import diff, why
 from sierra.cli.output import as_json
 from sierra.config.project_file import LoadedProject
-from sierra.deliverables.html import Chart, ChartAxis, Content, Series, section
+from sierra.deliverables.html import Chart, ChartAxis, SectionContent, Series, section
 from sierra.deliverables.html.tables import Cell, Table
 from sierra.errors import NotFound, UsageError
 from sierra.execution.shown_records import ShownRun
@@ -116,4 +116,4 @@ def curves(rows: pa.Table, names: Mapping[str, str], column: str, time: str) -> 
     notes += [
         "Long curves are thinned: of each part, the first, the last, the lowest and the highest value are shown."
     ] * thinned
-    return section(Content(f"{column} over {time}", (chart,), notes=tuple(notes), tables=(data,)))
+    return section(SectionContent(f"{column} over {time}", (chart,), notes=tuple(notes), tables=(data,)))

@@ -15,11 +15,12 @@ from typing import TYPE_CHECKING, Any
 from sierra.config.project_file import LoadedProject
 from sierra.errors import SierraError, UsageError
 from sierra.ingest.robot_files import FOLDERS
-from sierra.store.samples import FLAG, NUMERIC, names_time
+from sierra.store.batch_data import FLAG, NUMERIC
 from sierra.store.sql_names import column_names, identifier, quote, row_name, stored_name
 from sierra.store.sql_result import Answer
 from sierra.store.statement import check_condition
 from sierra.store.store import Snapshot
+from sierra.store.time_axis import names_time
 from sierra.util.json_types import JsonView
 from sierra.util.lazy_definitions import dataclass
 

@@ -14,14 +14,14 @@ from sierra.deliverables.gallery import Gallery
 from sierra.deliverables.report import comparisons
 from sierra.deliverables.report.parts import Place
 from sierra.errors import UsageError
-from sierra.store.samples import Frame
+from sierra.store.batch_data import BatchData
 from sierra.store.store import Store
 from sierra.util.hashing import short
 from sierra.util.html_elements import element
 from sierra.util.json_types import JsonView
 
 
-def drawing(project: LoadedProject, store: Store, name: str, figure: Figure, frames: Mapping[str, Frame]) -> Drawing:
+def drawing(project: LoadedProject, store: Store, name: str, figure: Figure, frames: Mapping[str, BatchData]) -> Drawing:
     """Return one figure of several batches, as `sierra figures` draws it; `frames` are by the label of each batch.
 
     Raises SierraError for a kind of figure that shows one batch only, or batches that do not fit each other.

@@ -12,8 +12,8 @@ from sierra.extensions.videos.films import Film
 from sierra.extensions.videos.pictures import Pictures, VideoFile, pictures
 from sierra.extensions.videos.subject_kinds import Layout, PictureSubject
 from sierra.extensions.videos.survey import Survey
+from sierra.store.batch_data import BatchData, ChosenRun
 from sierra.store.row_types import CaptureRow
-from sierra.store.samples import ChosenRun, Frame
 from sierra.store.sql_names import quote
 from sierra.util.text import few
 
@@ -24,7 +24,7 @@ AS_MEASURED = ("identical", "equal", "within tolerance")
 class CapturedSubject(PictureSubject):
     """Pictures of executions with rendering, for the runs of a film."""
 
-    def __init__(self, frame: Frame, film: Film) -> None:
+    def __init__(self, frame: BatchData, film: Film) -> None:
         """Raises NotFound if no frames of a run are recorded, and the errors of damaged pictures."""
         captures = frame.captures(film.runs)
         if lacking := [run for run in film.runs if run.judgement not in captures]:
@@ -53,7 +53,7 @@ class CapturedSubject(PictureSubject):
         return [] if self.left_out() else ["rendered apart from the measured runs, with the same results"]
 
 
-def _track(frame: Frame, run: ChosenRun, row: CaptureRow) -> Pictures | VideoFile:
+def _track(frame: BatchData, run: ChosenRun, row: CaptureRow) -> Pictures | VideoFile:
     """Return the frames of one run, which belong to the execution for capture."""
     output = options(Output, {"file": row.files, "format": FILE_FORMAT}, "captured files")
     return pictures(frame, "capture", output, replace(run, judgement=row.execution), row.ticks_per_second or 1.0)

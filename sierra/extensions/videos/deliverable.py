@@ -12,14 +12,14 @@ from sierra.extensions.videos.table import Video
 if TYPE_CHECKING:
     from sierra.config.project_file import LoadedProject
     from sierra.deliverables.gallery import Gallery
-    from sierra.deliverables.record import Content
+    from sierra.deliverables.record import Deliverable
     from sierra.store.row_types import DeliverableRow
     from sierra.store.store import Store
 
 KIND = "video"
 
 
-def _content(project: LoadedProject, store: Store, row: DeliverableRow) -> Content:
+def _content(project: LoadedProject, store: Store, row: DeliverableRow) -> Deliverable:
     from sierra.extensions.videos.render import content
 
     return content(project, store, row)

@@ -10,7 +10,7 @@ from sierra.design.query import condition
 from sierra.errors import DamagedFile, NotFound, SierraError
 from sierra.extensions.videos.table import Video
 from sierra.model import Axis, Value
-from sierra.store.samples import ChosenRun
+from sierra.store.batch_data import ChosenRun
 from sierra.util.lazy_definitions import dataclass, regex
 from sierra.util.text import counted, few
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from sierra.errors import UsageError
 from sierra.extensions.videos.sql_tracks import Columns, Rows, TrackSource
 from sierra.extensions.videos.table import Video
-from sierra.store.samples import ChosenRun
+from sierra.store.batch_data import ChosenRun
 from sierra.store.sql_names import identifier, node_name, quote
 from sierra.util.hashing import sha256
 from sierra.util.text import counted, natural

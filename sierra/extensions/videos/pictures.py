@@ -24,7 +24,7 @@ from sierra.config.output_tables import Output
 from sierra.errors import SierraError, UsageError
 from sierra.extensions.videos.encode import library
 from sierra.ingest.base import UnreadableError
-from sierra.store.samples import ChosenRun, Frame
+from sierra.store.batch_data import BatchData, ChosenRun
 from sierra.util.lazy_definitions import dataclass
 from sierra.util.text import like
 
@@ -71,7 +71,7 @@ class PictureTrack(Protocol):
         """Return a reader of its own for each video that is drawn."""
 
 
-def pictures(frame: Frame, name: str, output: Output, run: ChosenRun, per_second: float) -> Pictures | VideoFile:
+def pictures(frame: BatchData, name: str, output: Output, run: ChosenRun, per_second: float) -> Pictures | VideoFile:
     """Return the pictures that a run left in the files of an output. Raises UsageError or SierraError, naming run and file."""
     where = f"run {run.number} of experiment {run.experiment}"
     matching = [file for file in frame.files_of_run(run) if output.matches(_path(file))]
@@ -105,7 +105,7 @@ class _Extracted:
     path: Path
 
 
-def _extracted(frame: Frame, where: str, files: Sequence[Recorded]) -> list[_Extracted]:
+def _extracted(frame: BatchData, where: str, files: Sequence[Recorded]) -> list[_Extracted]:
     paths = frame.extracted(files)
     named = [(f"{where}: {_path(file)}", file.sha256 or "") for file in files]
     return [_Extracted(*name, path) for name, path in zip(named, paths, strict=True)]
@@ -144,7 +144,7 @@ class Pictures:
 class ImageFiles(Pictures):
     """A recorded file for each time; the time is in its name."""
 
-    def __init__(self, frame: Frame, where: str, output: Output, files: Sequence[Recorded], per_second: float) -> None:
+    def __init__(self, frame: BatchData, where: str, output: Output, files: Sequence[Recorded], per_second: float) -> None:
         import numpy as np
 
         if len(output.ticks) != 1:
@@ -166,7 +166,7 @@ class ImageFiles(Pictures):
 class PicturesWithin(Pictures):
     """Pictures in one file of a format of an extension, such as those of a camera in a bag; times are since the first."""
 
-    def __init__(self, frame: Frame, where: str, name: str, output: Output, files: Sequence[Recorded]) -> None:
+    def __init__(self, frame: BatchData, where: str, name: str, output: Output, files: Sequence[Recorded]) -> None:
         import numpy as np
 
         own = {file.path: file for file in files}
@@ -264,7 +264,7 @@ class VideoFile:
 
     missing = ""
 
-    def __init__(self, frame: Frame, where: str, file: Recorded) -> None:
+    def __init__(self, frame: BatchData, where: str, file: Recorded) -> None:
         import numpy as np
 
         (self._file,) = _extracted(frame, where, [file])

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from sierra.errors import UsageError
 from sierra.extensions.videos.sql_tracks import Rows, Stacked, TrackSource
 from sierra.extensions.videos.table import Video
-from sierra.store.samples import ChosenRun
+from sierra.store.batch_data import ChosenRun
 from sierra.store.sql_names import identifier, quote
 from sierra.util.text import natural
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from sierra.deliverables import overlay
 from sierra.deliverables.gallery import Gallery
-from sierra.deliverables.record import Content
+from sierra.deliverables.record import Deliverable
 from sierra.extensions.videos.films import Film, Members, films
 from sierra.extensions.videos.progress import READ, Counter, Progress, no_progress
 from sierra.extensions.videos.subjects import Subject, subjects
@@ -18,7 +18,7 @@ from sierra.extensions.videos.survey import Survey, survey
 from sierra.extensions.videos.table import Video
 from sierra.extensions.videos.tracks import frame_times, uneven
 from sierra.extensions.videos.two_batches import films_of_two
-from sierra.store.samples import AllFailed
+from sierra.store.batch_data import AllFailed
 from sierra.util.hashing import digest
 from sierra.util.json_types import JsonView
 from sierra.util.version import __version__
@@ -62,7 +62,7 @@ class Prepared:
         """The number of frames of all files."""
         return sum(len(one.times) for one in self.films) * len(self.video.formats)
 
-    def content(self) -> Content:
+    def content(self) -> Deliverable:
         """Return everything that the files depend on."""
         shown: dict[str, JsonView] = {
             film.film.name: {
@@ -82,7 +82,7 @@ class Prepared:
         }
         sql = "\n\n".join(dict.fromkeys(film.subject.sql for film in self.films))
         own = self.name if len(self.batches) == 1 else overlay.name_of(self.name, self.batches)
-        return Content(KIND, own, tuple(self.batches.values()), definition, sql, self.data, _made_by())
+        return Deliverable(KIND, own, tuple(self.batches.values()), definition, sql, self.data, _made_by())
 
     @property
     def data(self) -> str:

@@ -14,7 +14,7 @@ from sierra.config.validate import options
 from sierra.deliverables import bound
 from sierra.deliverables.gallery import Gallery
 from sierra.deliverables.kinds import FilesOfPaper
-from sierra.deliverables.record import Content, Recorder, marked_folder, parsing
+from sierra.deliverables.record import Deliverable, Recorder, marked_folder, parsing
 from sierra.errors import DamagedFile, Missing, NotFound, NotInstalled, SierraError
 from sierra.execution import targets
 from sierra.execution.batches_of_queries import BatchesOfQueries
@@ -23,9 +23,9 @@ from sierra.extensions.videos.draw import write
 from sierra.extensions.videos.prepare import Prepared, prepare
 from sierra.extensions.videos.progress import Progress, no_progress
 from sierra.extensions.videos.table import Video, declared
+from sierra.store.batch_data import BatchData
 from sierra.store.layout import ProjectPaths
 from sierra.store.row_types import DeliverableRow
-from sierra.store.samples import Frame
 from sierra.store.segments import disk_errors
 from sierra.store.store import Store
 from sierra.util.fs import fitting
@@ -108,7 +108,7 @@ def videos(
 def _galleries(
     project: LoadedProject, store: Store, batches: Mapping[str, str], tables: Container[str] | None, frames: ExitStack
 ) -> dict[str, Gallery]:
-    opened = {label: frames.enter_context(Frame(store, batch)) for label, batch in batches.items()}
+    opened = {label: frames.enter_context(BatchData(store, batch)) for label, batch in batches.items()}
     return {label: Gallery(project, store, frame, only=tables) for label, frame in opened.items()}
 
 
@@ -142,7 +142,7 @@ def _tables(wanted: Mapping[str, Video]) -> set[str] | None:
     return {video.table for video in wanted.values()} if known else None
 
 
-def content(project: LoadedProject, store: Store, row: DeliverableRow) -> Content:
+def content(project: LoadedProject, store: Store, row: DeliverableRow) -> Deliverable:
     """Return the content of a recorded video by its definition and the data that the store has now."""
     with parsing(row.name):
         definition = json.loads(row.definition)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Protocol
 from sierra.config.output_tables import Output
 from sierra.errors import NotFound, UsageError
 from sierra.extensions.videos.table import Video
-from sierra.store.samples import ChosenRun, Frame, OutputTable
+from sierra.store.batch_data import BatchData, ChosenRun, OutputTable
 from sierra.store.sql_names import identifier, quote
 from sierra.util.arrow_columns import numpy_of
 from sierra.util.lazy_definitions import regex
@@ -39,7 +39,7 @@ Columns = Mapping[str, "npt.NDArray[np.generic]"]
 class TrackSource:
     """One output of a batch, as a source of tracks. Several threads may use it; they read one after the other."""
 
-    frame: Frame
+    frame: BatchData
     output: OutputTable
     time: str
     """The time column."""

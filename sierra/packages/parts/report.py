@@ -21,7 +21,7 @@ def members(subject: Subject, packed: Mapping[str, Member]) -> PartResult:
         return PartResult(())
     package = subject.project.config.package
     received = Received(package.model_copy(update={"date": package.date or subject.date}))
-    source = make.Source(subject.project, subject.store, received=received, read=_from_members(packed))
+    source = make.ReportSource(subject.project, subject.store, received=received, read=_from_members(packed))
     try:
         report = make.of_batches(source, subject.batches, every=package.title or f"{len(subject.batches)} batches")
     except DamagedFile:

@@ -28,9 +28,9 @@ def write(package: Received, to: Path | None, tell: Callable[[str], None]) -> Wr
     return Written(file, tuple(report.batches), tuple(report.notes))
 
 
-def source(package: Received) -> make.Source:
-    """Return the source of a report of a package."""
-    return make.Source(package.project, package.store, received=_about(package), read=_from_archive(package))
+def source(package: Received) -> make.ReportSource:
+    """Return what a report of a package is made from."""
+    return make.ReportSource(package.project, package.store, received=_about(package), read=_from_archive(package))
 
 
 def _about(package: Received) -> About:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from sierra.config.deliverable_tables import Figure, TableForPaper
 from sierra.config.project_file import LoadedProject
-from sierra.deliverables import bound, comparison, comparison_figure, declared_tables
+from sierra.deliverables import bound, comparison, comparison_figure, declared_tables, default_figures
 from sierra.deliverables.comparison import Compared
 from sierra.deliverables.figures import drawing as figures
 from sierra.deliverables.figures.drawing import Drawing
@@ -26,7 +26,7 @@ from sierra.execution.batches_of_queries import BatchesOfQueries
 from sierra.packages.layout import drawn as member_of
 from sierra.packages.reading import received
 from sierra.store import deliverable_records
-from sierra.store.samples import Frame
+from sierra.store.batch_data import BatchData
 from sierra.store.store import Store
 from sierra.util.hashing import sha256, short
 from sierra.util.lazy_definitions import dataclass, field, replace
@@ -145,9 +145,9 @@ def _both(kind: str, name: str, batches: Sequence[str], make_from: Callable[[boo
 
 def _figures_of(sides: Sides, batch: str) -> Iterator[DrawnAgain]:
     """Yield the figures of a batch, as its report shows them."""
-    with Frame(sides.recorded, batch) as recorded, Frame(sides.reproduced, batch) as reproduced:
+    with BatchData(sides.recorded, batch) as recorded, BatchData(sides.reproduced, batch) as reproduced:
         galleries = Gallery(sides.project, sides.recorded, recorded), Gallery(sides.project, sides.reproduced, reproduced)
-        wanted, notes = galleries[0].wanted(None)
+        wanted, notes = default_figures.wanted(galleries[0], None)
         sides.notes += notes
         packed = _Packed(sides, batch)
         for name, figure in wanted.items():

@@ -86,7 +86,7 @@ def _keys_of(file: TriedFile, second: Trial | None, patterns: Mapping[str, str],
 
     `has_events`: each element of a list is an event, so that their number differs between runs.
     """
-    from sierra.store.samples import names_time
+    from sierra.store.time_axis import names_time
 
     keys: dict[str, Key] = {}
     if file.time and not (names_time(file.time) and file.time == next(iter(file.columns))):

@@ -19,8 +19,8 @@ import pytest
 
 import sierra
 from sierra.deliverables.figures.drawing import Drawing, explorable, explored, rendered
-from sierra.deliverables.record import Content, Recorder
-from sierra.deliverables.report.make import Source
+from sierra.deliverables.record import Deliverable, Recorder
+from sierra.deliverables.report.make import ReportSource
 from sierra.deliverables.report.moving_pictures import TooLarge
 from sierra.errors import Damaged, UsageError
 from sierra.extensions.explorer import explorer
@@ -165,7 +165,7 @@ def test_videos_are_played_in_parts_and_only_as_they_were_recorded(own: Path) ->
     other.write_bytes(b"GIF")
     titles = {"video": {"title": "Both"}, "files": {"one": {"title": "noise = 1"}}}
     recorder = Recorder(project.store, own, batch)
-    recorder.add(Content("video", "films", (batch,), titles, "", "0" * 64, ()), (other, film))
+    recorder.add(Deliverable("video", "films", (batch,), titles, "", "0" * 64, ()), (other, film))
     recorder.close()
     with served(explorer(project)) as page:
         video, moving = page.ask("batch", batch=batch)["videos"]
@@ -268,7 +268,7 @@ def test_a_video_that_is_too_large_to_be_played_is_no_missing_one(own: Path) -> 
 
     batch, project = ids(own)[0], sierra.open(own)
     recorded_film(own, batch)
-    answers = Answers(lambda: Source(project._loaded, project.store, read=read), project.store)
+    answers = Answers(lambda: ReportSource(project._loaded, project.store, read=read), project.store)
     with served(Server(answers, "project")) as page:
         assert "too large to be played" in page.ask("batch", batch=batch)["videos"][0]["problem"]
         assert page.ask("report", batch=batch)["address"]
@@ -280,7 +280,7 @@ def recorded_film(root: Path, batch: str) -> Path:
     film.parent.mkdir()
     film.write_bytes(bytes(range(256)) * 4)
     recorder = Recorder(sierra.open(root).store, root, batch)
-    recorder.add(Content("video", "films", (batch,), {}, "", "0" * 64, ()), (film,))
+    recorder.add(Deliverable("video", "films", (batch,), {}, "", "0" * 64, ()), (film,))
     recorder.close()
     return film
 
@@ -422,7 +422,7 @@ def test_no_statement_fills_the_memory_or_the_disk(tmp_path: Path) -> None:
 def test_a_hostile_record_of_a_video_is_one_line(own: Path, change: dict[str, Any], said: str) -> None:
     batch, project = ids(own)[0], sierra.open(own)
     recorder = Recorder(project.store, own, batch)
-    row = recorder._row(Content("video", "films", (batch,), {}, "", "0" * 64, ()), ["one.mp4"], ["0" * 64])
+    row = recorder._row(Deliverable("video", "films", (batch,), {}, "", "0" * 64, ()), ["one.mp4"], ["0" * 64])
     recorder._new.append(row._replace(**change))
     recorder.close()
     with served(explorer(project)) as page:
@@ -443,7 +443,7 @@ def test_batches_of_several_segments_are_listed_in_parts(tmp_path: Path) -> None
 
 def test_kept_snapshots_notice_damage(own: Path) -> None:
     project = sierra.open(own)
-    answers = Answers(lambda: Source(project._loaded, project.store), project.store)
+    answers = Answers(lambda: ReportSource(project._loaded, project.store), project.store)
     assert answers.query("FROM swarm")["rows"]
     flip(stores.files(own, "output.swarm")[0], random.Random(7))
     with pytest.raises(Damaged):

@@ -12,7 +12,7 @@ import pytest
 
 import sierra
 from sierra.cli import diff, why
-from sierra.deliverables.report.make import Source
+from sierra.deliverables.report.make import ReportSource
 from sierra.extensions.explorer import explorer, run_details
 from sierra.extensions.explorer.answers import Answers
 from sierra.extensions.explorer.run_table import WINDOW
@@ -189,7 +189,7 @@ def test_an_unknown_column_is_named(page: Page, content: dict[str, Any]) -> None
 
 def test_a_condition_that_takes_too_long_is_ended(recorded: Path) -> None:
     project = sierra.open(recorded)
-    answers = Answers(lambda: Source(project._loaded, project.store), project.store)
+    answers = Answers(lambda: ReportSource(project._loaded, project.store), project.store)
     with served(Server(answers, "project")) as page:
         page.ask("columns")
         answers._wall = 0.2

@@ -15,7 +15,7 @@ from PIL import Image as Pillow
 from sierra.config.output_tables import Output
 from sierra.errors import SierraError
 from sierra.extensions.videos.pictures import pictures
-from sierra.store.samples import ChosenRun
+from sierra.store.batch_data import ChosenRun
 from tests import projects
 from tests.extensions.videos.test_pictures import Left
 from tests.projects import quick

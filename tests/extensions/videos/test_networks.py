@@ -16,7 +16,7 @@ from sierra.extensions.videos.painting.network_painter import NetworkPainter
 from sierra.extensions.videos.painting.scene import Scene, Words, settings
 from sierra.extensions.videos.prepare import Prepared, prepare
 from sierra.extensions.videos.table import Video
-from sierra.store.samples import Frame
+from sierra.store.batch_data import BatchData
 from tests import projects, stores
 from tests.extensions.videos import video_files
 
@@ -47,7 +47,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def states(root: Path, **keys: Any) -> tuple[Prepared, list[Any], NetworkPainter]:
     """Return a video, the states of its only run, and two of its painters, which are the same."""
     project, opened = load(root), sierra.open(root)
-    with Frame(opened.store, opened.batch()) as frame:
+    with BatchData(opened.store, opened.batch()) as frame:
         video = Video.model_validate(EDGES | keys)
         made = prepare("film", video, {"": Gallery(project, opened.store, frame)})
         (one,) = made.films

@@ -23,7 +23,7 @@ from sierra.errors import SierraError
 from sierra.extensions.videos.painting.picture_painter import PicturePainter
 from sierra.extensions.videos.painting.scene import Scene, Words, settings
 from sierra.extensions.videos.pictures import VideoFile, pictures
-from sierra.store.samples import ChosenRun
+from sierra.store.batch_data import ChosenRun
 from sierra.util.hashing import sha256
 from tests import projects, stores
 from tests.extensions.videos import video_files

@@ -14,7 +14,7 @@ import pytest
 
 import sierra
 from sierra.cli import progress
-from sierra.deliverables.record import Content, Recorder
+from sierra.deliverables.record import Deliverable, Recorder
 from sierra.deliverables.report import moving_pictures
 from sierra.packages.reading import received
 from tests import projects, stores
@@ -214,7 +214,7 @@ def test_records_of_strangers_show_no_file_and_execute_nothing(project: tuple[Pa
     definitions: list[Any] = [{"files": 3}, [], {"files": {"x": {"title": "</script><script>alert(1)"}}}]
     for kind in ("video", "comparison", "report", "table"):
         for number, definition in enumerate(definitions):
-            stranger = Content(kind, f"<script>{number}", (batch,), definition, "", "0" * 64, ())
+            stranger = Deliverable(kind, f"<script>{number}", (batch,), definition, "", "0" * 64, ())
             recorder.add(stranger, (root / "x.mp4",))
     recorder.close()
     packed = projects.quick(root, "package", batch, "-o", "../one.zip", "--yes")

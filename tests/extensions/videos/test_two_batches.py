@@ -17,7 +17,7 @@ from sierra.extensions.videos.films import Members, file_names
 from sierra.extensions.videos.prepare import Prepared, prepare
 from sierra.extensions.videos.table import Video
 from sierra.model import Axis, Value
-from sierra.store.samples import Frame
+from sierra.store.batch_data import BatchData
 from tests import projects, stores
 from tests.extensions.videos import video_files
 from tests.tiers import needs_extension
@@ -65,7 +65,7 @@ def prepared(root: Path, a: int, b: int, **keys: Any) -> Prepared:
     project, store, batches = load(root), sierra.open(root).store, ids(root)
     with ExitStack() as frames:
         galleries = {
-            label: Gallery(project, store, frames.enter_context(Frame(store, batches[place])))
+            label: Gallery(project, store, frames.enter_context(BatchData(store, batches[place])))
             for label, place in (("calm", a), ("noisy", b))
         }
         return prepare("film", Video.model_validate(CELLS | keys), galleries)

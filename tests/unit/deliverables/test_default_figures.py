@@ -10,8 +10,10 @@ import pytest
 import sierra
 from sierra.config import project_file
 from sierra.config.deliverable_tables import Figure
+from sierra.deliverables import default_figures
 from sierra.deliverables.gallery import Gallery
-from sierra.store.samples import Frame
+from sierra.model import Axis
+from sierra.store.batch_data import BatchData
 from tests.projects import CONFIG, make, quick
 
 WIDE = """\
@@ -93,9 +95,9 @@ def test_a_variable_with_one_value_is_no_dimension_of_figures(tmp_path: Path) ->
     declared = '[figures.map]\nkind = "heatmap"\ncolumn = "coverage"\n[controllers.A]\n'
     folder = make(tmp_path / "project", CONFIG + declared)
     batch = sierra.open(folder).run("population_size=1,2", "noise=0,0.5", "controller=A", runs=1, figures=False).batch
-    with Frame(sierra.open(folder).store, batch) as frame:
+    with BatchData(sierra.open(folder).store, batch) as frame:
         gallery = Gallery(project_file.load(folder), sierra.open(folder).store, frame)
-        drawn = gallery.drawing("map", gallery.wanted("map")[0]["map"])
+        drawn = gallery.drawing("map", default_figures.wanted(gallery, "map")[0]["map"])
         assert [axis.name for axis in drawn.axes] == ["population_size", "noise"]
         assert "controller = A" in drawn.note.split("; ")
         named = Figure(kind="summary", column="coverage", facet="controller")
@@ -108,6 +110,17 @@ def test_a_variable_with_one_value_is_no_dimension_of_figures(tmp_path: Path) ->
 def test_default_figures_over_one_varied_variable_are_no_maps(tmp_path: Path) -> None:
     folder = make(tmp_path / "project")
     batch = sierra.open(folder).run("population_size=1,2", "noise=0.5", runs=1, figures=False).batch
-    with Frame(sierra.open(folder).store, batch) as frame:
-        wanted, _ = Gallery(project_file.load(folder), sierra.open(folder).store, frame).wanted(None)
+    with BatchData(sierra.open(folder).store, batch) as frame:
+        gallery = Gallery(project_file.load(folder), sierra.open(folder).store, frame)
+        wanted, _ = default_figures.wanted(gallery, None)
     assert {figure.kind for figure in wanted.values()} == {"timeseries", "summary"}
+
+
+@pytest.mark.parametrize(
+    ("axes", "series", "expected"),
+    [(1, True, ["timeseries", "summary"]), (1, False, ["summary"]), (2, True, ["timeseries", "heatmap", "summary"])],
+)
+def test_default_figures_of_a_column_depend_on_the_axes_of_the_batch(axes: int, series: bool, expected: list[str]) -> None:
+    found = default_figures.of_columns("robots", ["energy"], (Axis("size", (1, 2)),) * axes, series=series)
+    assert [f.kind for f in found.values()] == expected
+    assert list(found) == [f"robots_energy_{kind}" for kind in expected]

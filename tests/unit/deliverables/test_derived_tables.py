@@ -9,7 +9,7 @@ import pytest
 
 import sierra
 from sierra.errors import UsageError
-from sierra.store.samples import Frame
+from sierra.store.batch_data import BatchData
 from tests import projects, stores
 
 ENDS = "SELECT run, max(coverage) AS most, max(coverage) > 5 AS good FROM swarm GROUP BY run"
@@ -153,7 +153,7 @@ def test_a_figure_can_have_its_own_statement_and_its_files_contain_all_sql(recor
 
 def test_a_name_that_a_column_and_a_variable_share_is_the_variable_in_conditions(root: Path) -> None:
     project = sierra.open(root)
-    with Frame(project.store, project.batches[0].batch) as frame:
+    with BatchData(project.store, project.batches[0].batch) as frame:
         frame.samples("halves", "half", "tick", "population_size > 1 AND population_size_ > 1")
         counts = {row["experiment"]: row["n"] for row in frame.sql(COUNTS).to_pylist()}
         assert (list(counts), frame.experiments_with("halves", "population_size > 1")) == ([1], {1})
@@ -162,7 +162,7 @@ def test_a_name_that_a_column_and_a_variable_share_is_the_variable_in_conditions
 
 
 def test_a_condition_uses_columns_only(root: Path) -> None:
-    with Frame(sierra.open(root).store, sierra.open(root).batches[0].batch) as frame:
+    with BatchData(sierra.open(root).store, sierra.open(root).batches[0].batch) as frame:
         frame.data("swarm", "tick", "tick > 1 AND NOT (coverage BETWEEN 1 AND 2) -- late")
         for text in ("tick > ", "true) UNION SELECT (1", "run IN (FROM runs)", "random() < 1", "EXISTS (FROM read_csv('x'))"):
             with pytest.raises(UsageError, match="where = "):

@@ -19,7 +19,7 @@ from sierra.deliverables.figures import tex
 from sierra.deliverables.figures.drawing import Drawing, rendered
 from sierra.deliverables.figures.formats import FORMATS
 from sierra.deliverables.figures.interactive import CONTRAST, POINTS, on_dark
-from sierra.deliverables.html import Content, Table, escaping
+from sierra.deliverables.html import SectionContent, Table, escaping
 from sierra.deliverables.html.page import ASSETS
 from sierra.deliverables.record import origin_of
 from sierra.errors import UsageError
@@ -173,7 +173,7 @@ def test_data_within_a_script_can_hold_any_text(text: str) -> None:
 
 def test_a_table_keeps_every_digit_and_says_what_it_lacks() -> None:
     large = Table("values", ("a", "b"), ([2**60, 0.1 + 0.2] * 200, [float("inf"), None] * 200), "the first 400 of 900 rows")
-    text = html.section(Content("title", tables=(large,)))
+    text = html.section(SectionContent("title", tables=(large,)))
     found = _Parsed(text)
     assert found.data()["tables"][0]["columns"] == [[str(2**60), 0.1 + 0.2] * 200, ["inf", None] * 200]
     assert len(list(found.all("tr"))) == 1 + 200

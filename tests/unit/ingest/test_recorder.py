@@ -26,7 +26,7 @@ from sierra.ingest.model import Reading, Shape, Written
 from sierra.ingest.read import read
 from sierra.ingest.recorder import Recorder
 from sierra.store import equal_runs
-from sierra.store.samples import Frame
+from sierra.store.batch_data import BatchData
 from sierra.worker.outputs import describe
 from tests import projects, samples
 from tests.tiers import at_night
@@ -183,7 +183,7 @@ def test_column_names_that_are_difficult_in_sql_are_kept_or_made_unique(make: Ma
     known = ("run_lower", "Run_upper_1", 'a "b"', "größe", "select", "N_", "column6", "filename_", "experiment", "place")
     assert [row[name] for name in known] == list(range(10))
     assert row["n"] == 1
-    with Frame(project.store, summary.batch) as frame:
+    with BatchData(project.store, summary.batch) as frame:
         for place, name in enumerate(known):
             frame.samples("out", name.replace("N_", "N"))
             assert frame.sql("SELECT experiment, t, value FROM samples").to_pylist() == [
@@ -240,7 +240,7 @@ mismatch = "ragged"
 def test_rows_of_large_csv_files_keep_their_order_across_runs(make: Make) -> None:
     project = make("write('i\\n' + ''.join(f'{i * 7919 % 100003}\\n' for i in range(100003)))")
     summary = run(project, runs=3, jobs=2)
-    with Frame(project.store, summary.batch) as frame:
+    with BatchData(project.store, summary.batch) as frame:
         frame.samples("out", "i")
         for number in range(3):
             found = frame.sql("SELECT value FROM samples WHERE number = $n ORDER BY t", n=number).column(0).to_pylist()

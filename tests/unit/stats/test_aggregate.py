@@ -592,16 +592,6 @@ def test_a_heatmap_of_one_variable_is_refused() -> None:
         compute(figure("heatmap"), {"energy": Memory([(0, 0, 0.0, 1.0)])})
 
 
-@pytest.mark.parametrize(
-    ("axes", "series", "expected"),
-    [(1, True, ["timeseries", "summary"]), (1, False, ["summary"]), (2, True, ["timeseries", "heatmap", "summary"])],
-)
-def test_default_figures_of_a_column_depend_on_the_axes_of_the_batch(axes: int, series: bool, expected: list[str]) -> None:
-    found = stats.default_figures("robots", ["energy"], AXIS * axes, series=series)
-    assert [f.kind for f in found.values()] == expected
-    assert list(found) == [f"robots_energy_{kind}" for kind in expected]
-
-
 @pytest.mark.parametrize("kind", ["timeseries", "summary", "box", "violin", "stacked"])
 @pytest.mark.parametrize("center", ["mean", "median", "iqm"])
 def test_each_kind_of_figure_gets_its_tables(kind: str, center: str) -> None:

@@ -17,9 +17,9 @@ import pytest
 import sierra
 from sierra.api import Project
 from sierra.errors import Damaged, Missing, NotFound, SqlError
+from sierra.store.batch_data import BatchData
 from sierra.store.connections import connect
 from sierra.store.objects import PART, Objects
-from sierra.store.samples import Frame
 from sierra.store.schema import DERIVED, RECORDED, check_name
 from sierra.store.segments import MANIFEST, Writer
 from sierra.store.store import Store
@@ -324,7 +324,7 @@ def test_the_last_successful_execution_with_the_last_programs_is_effective(proje
     rows = project.sql("SELECT r.number, status, executions, v FROM runs r JOIN out USING (run) ORDER BY 1").to_pylist()
     assert [tuple(row.values()) for row in rows] == [(0, "ok", 3, 3)]
     assert project.sql("SELECT status FROM runs ORDER BY number").to_pylist() == [{"status": "ok"}, {"status": "failed"}]
-    with Frame(project.store, batch) as frame:
+    with BatchData(project.store, batch) as frame:
         assert frame.counts() == {0: (1, 2)}
         frame.samples("out", "v")
         assert frame.sql("SELECT number, value FROM samples").to_pylist() == [{"number": 0, "value": 3.0}]

@@ -18,7 +18,7 @@ from sierra.config.claim_table import ClaimedOrder
 from sierra.deliverables.claims import by_test, evaluate
 from sierra.deliverables.claims.by_value import decide
 from sierra.deliverables.claims.evaluate import Ground, Verdict
-from sierra.deliverables.claims.model import Found
+from sierra.deliverables.claims.model import ClaimResult
 from sierra.errors import ConfigError, NotFound
 from sierra.stats.comparison.model import Cell, Question, RunValue, Sample
 from sierra.store.store import Store
@@ -234,7 +234,7 @@ def verdict(groups: list[Any], tests: int = 1) -> Verdict:
     return conclusion(groups, tests).verdict
 
 
-def conclusion(groups: list[Any], tests: int) -> Found:
+def conclusion(groups: list[Any], tests: int) -> ClaimResult:
     """Return the finding about the order of samples, of which the first should have the greatest values."""
     names = tuple(map(str, range(len(groups))))
     samples = (

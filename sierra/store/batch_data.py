@@ -10,14 +10,13 @@ import re
 from collections.abc import Callable, Container, Hashable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from decimal import Decimal
-from functools import partial
-from math import isfinite
+from functools import partial, wraps
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar, cast
 
 from sierra.errors import Damaged, Missing, NotFound, SierraError, SqlError, UsageError
 from sierra.model import ACCEPTED, Axis, Value
-from sierra.store import captures, clock_times, robot_means, rounded_times
+from sierra.store import captures, clock_times, robot_means, rounded_times, time_axis
 from sierra.store.clock_times import TimeKind
 from sierra.store.derived_tables import BuiltTable, Definition
 from sierra.store.duckdb_messages import explain
@@ -26,8 +25,8 @@ from sierra.store.row_mapper import R
 from sierra.store.row_types import CaptureRow
 from sierra.store.schema import RECORDED
 from sierra.store.segments import disk_errors, is_first_part
-from sierra.store.sql_names import LOWER, column_names, identifier, quote
-from sierra.store.sql_result import INTEGER, NUMBER
+from sierra.store.sql_names import column_names, identifier, quote
+from sierra.store.sql_result import INTEGER, NUMBER, RawRow
 from sierra.store.statement import check_condition
 from sierra.store.store import Snapshot, Store
 from sierra.store.union_files import Relation, relation
@@ -44,14 +43,10 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 T = TypeVar("T")
+P = ParamSpec("P")
 MEMBERS = "SELECT judgement FROM membership"
 ON_ROBOTS = "SELECT 1 FROM batches JOIN specs USING (spec) WHERE batch = $b AND robots IS NOT NULL LIMIT 1"
 MIXED = "has numbers in some runs and other values in others"
-TIMES = ("clock", "time", "tick", "t", "step", "iteration", "generation", "seconds")
-"""Names of a first column that make it the time axis, if the project declares no time column."""
-OTHER_TIMES = ("timestep", "timestamp", "stamp", "zeit", "temps", "tiempo", "tempo", "iter", "gen", "epoch", "frame", "sec")
-BESIDE_TIME = ("s", "ms", "us", "ns", "min", "h", "in", "of", "sim", "simulation", "elapsed", "number", "no", "index")
-"""Further words in names of times, and words beside them."""
 FLAG, NUMERIC = "BOOLEAN", rf"BOOLEAN|{NUMBER}"
 """DuckDB's types of the columns that statistics use, as regular expressions; flags are 0 and 1."""
 EXACT = rf"{INTEGER}|DECIMAL\(\d+,\d+\)"
@@ -82,6 +77,16 @@ class AllFailed(SierraError):
 
 class NoRuns(UsageError):
     """A derived table whose rows do not belong to runs, which SQL can use but statistics cannot."""
+
+
+def _once(method: Callable[Concatenate[BatchData, P], T]) -> Callable[Concatenate[BatchData, P], T]:
+    """Call a method once for the same arguments, because the data of a batch do not change."""
+
+    @wraps(method)
+    def remembered(data: BatchData, /, *args: P.args, **options: P.kwargs) -> T:
+        return data.once((method.__name__, *args, *options.items()), partial(method, data, *args, **options))
+
+    return remembered
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,24 +126,15 @@ class ChosenRun:
     """The judgement of its effective execution; None if it has none."""
 
 
-class Frame:
-    """A context manager for the data of a batch; `sierra.stats.aggregate.Frame` is its contract."""
+class BatchData:
+    """The runs of a batch and the tables that they wrote, loaded when they are first used; a context manager."""
 
     def __init__(self, store: Store, batch: str, these: Mapping[str, str] | None = None) -> None:
         """`these`: the execution, or the judgement of it, to use for each run instead of the effective one."""
         self.batch = batch
         self._folder = store.paths.extracted
+        self._read_tables: set[str] = set()
         self._snapshot: Snapshot = store.snapshot(batch, theirs=True)
-        self._loaded: set[str] = set()
-        self._chosen: dict[tuple[str, str], str] = {}
-        """The temporary tables of chosen rows, by table and condition."""
-        self._relations: dict[str, Relation] = {}
-        self._robots: dict[str, str] = {}
-        """The columns with the places of robots, by table; "" if there is none."""
-        self._times: dict[tuple[str, str], str] = {}
-        """The SQL expressions for times, by table and name of the time."""
-        self._aligned: dict[tuple[str, str, str], bool | None] = {}
-        """By table, time and condition: true if robots of each run have the same times; None if some have two rows at one."""
         self._computed: dict[Hashable, object] = {}
         """The results of `once`."""
         self.problems: dict[str, SierraError] = {}
@@ -159,20 +155,20 @@ class Frame:
         tables = self._snapshot.derived.definitions
         self._files |= {one.name: [] for name, one in tables.items() if name not in taken}
 
-    def __enter__(self) -> Frame:
+    def __enter__(self) -> BatchData:
         return self
 
     def __exit__(self, *error: Any) -> None:
         self._closing.__exit__(*error)
 
     def unlock(self) -> None:
-        """Free the lock that protects the segments from removal. Whoever uses the frame afterwards must hold it."""
+        """Free the lock that protects the segments from removal. Whoever uses the data afterwards must hold it."""
         self._snapshot.unlock()
 
     def verify(self) -> None:
-        """Raise Damaged if a file that the frame has read has been damaged since."""
+        """Raise Damaged if a file that has been read has been damaged since."""
         self._snapshot.verify()
-        verify(path for table in self._relations for path in self._files.get(table, ()))
+        verify(path for table in self._read_tables for path in self._files.get(table, ()))
 
     def _members(self, these: Mapping[str, str] | None) -> None:
         run = self._snapshot.run
@@ -193,17 +189,15 @@ class Frame:
             {"b": self.batch} if these is None else {},
         )
 
+    @_once
     def failure(self) -> str | None:
         """Return why the batch has no results, if no run was successful and some failed: with the reason of the first one."""
-        return self.once(("failure",), self._failure)
-
-    def _failure(self) -> str | None:
         [(successful, runs, failed, reason)] = self._snapshot.run(FAILED, {"b": self.batch})
         if successful or not failed:
             return None
         all_failed = f"all {counted(runs, 'run')} failed"
-        those = all_failed if failed == runs else f"no run was successful, and {failed} of {runs} failed"
-        return f"{those}: {one_line(reason)}"
+        which = all_failed if failed == runs else f"no run was successful, and {failed} of {runs} failed"
+        return f"{which}: {one_line(reason)}"
 
     def _output_files(self) -> dict[str, list[str]]:
         """Return the files of each output, from the segments that hold an effective execution."""
@@ -221,26 +215,22 @@ class Frame:
         found = self._snapshot.run(files_with(files, MEMBERS))
         return [file for file in files if (file,) in found] or files
 
+    @_once
     def axes(self) -> tuple[Axis, ...]:
         """Return the batch's axes with their values in order; labels and units come from the project. Raises NotFound."""
-        return self.once("axes", self._axes)
+        cells = self.cells().values()
+        return tuple(Axis(name, tuple(dict.fromkeys(cell[name] for cell in cells))) for name in self.axis_names)
 
-    def _axes(self) -> tuple[Axis, ...]:
-        found = self._snapshot.run("SELECT axes FROM batches WHERE batch = $b", {"b": self.batch})
-        if not found:
-            raise NotFound(f"no batch {self.batch[:12]}")
-        values = self.cells()
-        axes = []
-        for name in found[0][0]:
-            seen = dict.fromkeys(cell[name] for cell in values.values())
-            axes.append(Axis(name, tuple(seen)))
-        return tuple(axes)
+    @property
+    def axis_names(self) -> list[str]:
+        """The names of the batch's independent variables. Raises NotFound."""
+        for (names,) in self._snapshot.run("SELECT axes FROM batches WHERE batch = $b", {"b": self.batch}):
+            return list(names)
+        raise NotFound(f"no batch {self.batch[:12]}")
 
+    @_once
     def cells(self) -> Mapping[int, Mapping[str, Value]]:
         """Return the values of the axes for each experiment, by its position in the batch."""
-        return self.once("cells", self._cells)
-
-    def _cells(self) -> dict[int, dict[str, Value]]:
         fixed = {column.name for column in RECORDED["experiments"].columns}
         table = self._snapshot.connection.sql(
             "SELECT * FROM experiments WHERE batch = $b ORDER BY ordinal", params={"b": self.batch}
@@ -263,15 +253,17 @@ class Frame:
         )
         return {row[0]: (row[1], row[2]) for row in rows}
 
+    @_once
     def accepted(self) -> Mapping[int, Mapping[str, int]]:
         """Return the number of runs by an end that is a result but no success, by the experiment's position."""
-        return self.once("accepted", self._accepted)
-
-    def _accepted(self) -> dict[int, dict[str, int]]:
         ends: dict[int, dict[str, int]] = {}
         for experiment, outcome, runs in self._snapshot.run(ENDS):
             ends.setdefault(experiment, {})[outcome] = runs
         return ends
+
+    def accepted_beside(self, table: str) -> Mapping[int, Mapping[str, int]]:
+        """Return the accepted ends of runs whose rows are not in this output, but in a table beside it, by experiment."""
+        return self.accepted() if table in self.written and not self.is_of_accepted(table) else {}
 
     def first_and_last_inputs(self) -> tuple[tuple[int, str], ...]:
         """Return pairs of the position of an experiment and the SHA-256 of an input: those of its first and of its last run."""
@@ -295,11 +287,10 @@ class Frame:
 
         It has all columns of the output, the time `"# t"`, and the order of the rows: `"# file"`, `"# row"`. Raises NotFound.
         """
-        if table not in self._files:
-            raise NotFound(f"no output {table!r} in this batch; it has {', '.join(self.names) or 'none'}")
-        source, kind = self._relation(table, self._files[table]), self.time_kind(table, time)
+        files = self._files_of(table)
+        source, kind = self._relation(table), self.time_kind(table, time)
         t = f"{identifier(time)}::DOUBLE" if kind is None else clock_times.seconds(time, kind, "run")
-        if not self._files[table]:
+        if not files:
             return f'(SELECT *, {t} AS "# t", 0 AS "# file", rowid AS "# row" FROM {source.sql} WHERE run = {quote(run.run)})'
         mine = f"execution = {quote(run.judgement or '')}"
         return f'(SELECT *, {t} AS "# t", filename AS "# file", file_row_number AS "# row" FROM {source.sql} WHERE {mine})'
@@ -314,14 +305,14 @@ class Frame:
         return captures.newest(self._snapshot, [run.judgement for run in runs if run.judgement is not None])
 
     def extracted(self, files: Sequence[Recorded]) -> list[Path]:
-        """Write recorded files to a temporary folder, which exists until this frame is closed; return their paths in order.
+        """Write recorded files to a temporary folder, which exists until this data are closed; return their paths in order.
 
         A path has the ending of the file in lower case, and nothing else of its name. Raises Damaged, Missing.
         """
         with disk_errors(self._folder):
             self._folder.mkdir(exist_ok=True)
             folder = self._closing.enter_context(scratch(self._folder, "frame-"))
-        paths = [folder / f"{place}{PurePosixPath(file.path).suffix.lower()}" for place, file in enumerate(files)]
+        paths = [folder / f"{number}{PurePosixPath(file.path).suffix.lower()}" for number, file in enumerate(files)]
         places = {id(file): path for file, path in zip(files, paths, strict=True)}
         for content in contents(self._snapshot, files):
             with disk_errors(folder), places[id(content.file)].open("wb") as written:
@@ -339,20 +330,20 @@ class Frame:
         return sorted(self._files)
 
     def derive(self, definition: Definition) -> None:
-        """Add a derived table to this frame only: that of one figure, for example."""
+        """Add a derived table to these data only: that of one figure, for example."""
         self._snapshot.derived.add(definition)
         self._files[definition.name] = []
 
     def table_of(self, definition: Definition) -> pa.Table:
-        """Return the rows of a derived table that need not belong to runs, for this frame only. Raises SierraError."""
+        """Return the rows of a derived table that need not belong to runs, for these data only. Raises SierraError."""
         self._snapshot.derived.add(definition)
         self._snapshot.derived.make(definition.name)
         return self.sql(f"FROM {identifier(definition.name)}")
 
     def outputs_with(self, column: str) -> list[str]:
         """Return the outputs that runs wrote with this column; derived tables do not count."""
-        found = {name: self._relation(name, files) for name, files in sorted(self._files.items()) if files}
-        return [name for name, source in found.items() if column in source.types and not self.is_of_accepted(name)]
+        having = [name for name in self.written if column in self._relation(name).types]
+        return [name for name in having if not self.is_of_accepted(name)]
 
     def is_of_accepted(self, table: str) -> bool:
         """Return whether a table has the rows of accepted ends, so that it is only used where it is named."""
@@ -374,32 +365,28 @@ class Frame:
 
     def outputs(self, only: Container[str] | None = None) -> tuple[OutputTable, ...]:
         """Return the tables that the batch's runs wrote, and the derived tables; `only` those with these names."""
-        found: list[OutputTable] = []
-        for name, files in sorted(self._files.items()):
-            if only is not None and name not in only:
-                continue
-            if files:
-                found.append(self.once(("output", name), partial(self._output, name, files)))
-            else:
-                found += self._derived_output(name)
-        return tuple(found)
+        names = [name for name in self.names if only is None or name in only]
+        tables = (self._output(name) if self._files[name] else self._derived_output(name) for name in names)
+        return tuple(table for table in tables if table is not None)
 
     def once(self, key: Hashable, compute: Callable[[], T]) -> T:
-        """Return what `compute` returns for this key. It is called once, because the data of a frame do not change."""
+        """Return what `compute` returns for this key. It is called once, because the data do not change."""
         if key not in self._computed:
             self._computed[key] = compute()
         return cast("T", self._computed[key])
 
+    @_once
     def durations(self, table: str) -> list[str]:
         """Return the columns of an output that have durations, in nanoseconds; a derived table has none."""
-        return self.once(("durations", table), lambda: self._snapshot.durations(table, MEMBERS))
+        return self._snapshot.durations(table, MEMBERS)
 
-    def _output(self, name: str, files: list[str]) -> OutputTable:
-        """Return a table that runs wrote to these files."""
-        source = self._relation(name, files)
+    @_once
+    def _output(self, name: str) -> OutputTable:
+        """Return a table that runs wrote."""
+        source = self._relation(name)
         robot = self.column_of_robots(name)
         hidden = ("run", "execution", "file", robot)
-        columns = [(name, kind) for name, kind in source.types.items() if name not in hidden]
+        columns = {column: kind for column, kind in source.types.items() if column not in hidden}
         many = "count(DISTINCT file)" if "file" in source.types else "1"
         each = f"execution, {robot}" if robot else "execution"
         sizes = f"SELECT count(*) AS rows, {many} AS files FROM {source.sql} WHERE execution IN ({MEMBERS}) GROUP BY {each}"
@@ -407,135 +394,71 @@ class Frame:
             f"SELECT coalesce(max(rows), 0), coalesce(max(files), 0), coalesce(min(rows), 0) FROM ({sizes})"
         )
         mixed = _mixed(source)
-        numeric, flags = (
-            tuple(c for c, kind in columns if re.fullmatch(kinds, kind) and c not in mixed) for kinds in (NUMERIC, FLAG)
-        )
-        others = {c: kind for c, kind in columns if c not in (*numeric, *source.texts, *source.texts.values())}
-        return OutputTable(name, numeric, tuple(c for c, _ in columns), rows, most, mixed, flags, fewest, others)
+        numeric, flags = _numeric_and_flags({column: kind for column, kind in columns.items() if column not in mixed})
+        others = {c: kind for c, kind in columns.items() if c not in (*numeric, *source.texts, *source.texts.values())}
+        return OutputTable(name, numeric, tuple(columns), rows, most, mixed, flags, fewest, others)
 
-    def _derived_output(self, name: str) -> Iterator[OutputTable]:
-        """Yield a derived table, if it can be used for statistics; else remember why not."""
+    def _derived_output(self, name: str) -> OutputTable | None:
+        """Return a derived table, if it can be used for statistics; else None, and remember why not."""
         try:
-            made = self._derived(name)
+            derived = self._derived(name)
         except (Damaged, Missing):
             raise
         except SierraError as error:
             self.problems[name] = error
-            return
+            return None
         hidden = {*NO_VALUES, *(axis.lower() for axis in self.axis_names)}
-        columns = {column: kind for column, kind in made.columns.items() if column.lower() not in hidden}
-        numeric, flags = (tuple(c for c, kind in columns.items() if re.fullmatch(kinds, kind)) for kinds in (NUMERIC, FLAG))
+        columns = {column: kind for column, kind in derived.columns.items() if column.lower() not in hidden}
+        numeric, flags = _numeric_and_flags(columns)
+        others = {column: kind for column, kind in columns.items() if column not in numeric}
         sizes = f"SELECT count(*) AS rows FROM {identifier(name)} GROUP BY run"
         [(rows, fewest)] = self._snapshot.run(f"SELECT max(rows), min(rows) FROM ({sizes})")
-        yield OutputTable(
-            name,
-            numeric,
-            tuple(columns),
-            rows,
-            files=1,
-            mixed=(),
-            flags=flags,
-            fewest=fewest,
-            others={column: kind for column, kind in columns.items() if column not in numeric},
-            unordered=not made.ordered,
-        )
+        return OutputTable(name, numeric, tuple(columns), rows, 1, (), flags, fewest, others, unordered=not derived.ordered)
 
     def _derived(self, name: str) -> BuiltTable:
         """Return a derived table after checking that its rows belong to runs of the batch. Raises SierraError."""
-        made = self._snapshot.derived.make(name)
+        derived = self._snapshot.derived.make(name)
         origin = self._snapshot.derived.definitions[name.lower()].origin
-        if "run" not in map(str.lower, made.columns):
+        if "run" not in map(str.lower, derived.columns):
             raise NoRuns(
                 f"{origin}: it has no column 'run', so there are no statistics over runs; add run to its SELECT (and GROUP BY)"
             )
-        if not made.rows:
+        if not derived.rows:
             raise SierraError(f"{origin}: its statement returns no rows for batch {self.batch[:10]}")
         others = f"SELECT run FROM {identifier(name)} WHERE run IS NULL OR run::VARCHAR NOT IN (SELECT run FROM wanted) LIMIT 1"
         for (run,) in self._snapshot.run(others):
             which = "without a run" if run is None else f"of {str(run)[:20]!r}, which is no run of batch {self.batch[:10]}"
             raise UsageError(f"{origin}: it has a row {which}; its column 'run' must be that of the runs")
-        return made
+        return derived
 
-    @property
-    def axis_names(self) -> list[str]:
-        """The names of the batch's independent variables."""
-        [(names,)] = self._snapshot.run("SELECT axes FROM batches WHERE batch = $b", {"b": self.batch})
-        return list(names)
+    def _files_of(self, table: str) -> list[str]:
+        """Return the files of an output; a derived table has none. Raises NotFound."""
+        if table not in self._files:
+            raise NotFound(f"no output {table!r} in this batch; it has {', '.join(self.names) or 'none'}")
+        return self._files[table]
 
-    def _relation(self, table: str, files: Sequence[str]) -> Relation:
+    @_once
+    def _relation(self, table: str) -> Relation:
         """Return all rows of an output, effective or not, or those of a derived table."""
-        if table not in self._relations and not files:
-            self._relations[table] = Relation(identifier(table), self._derived(table).columns)
-        if table not in self._relations:
-            self._relations[table] = relation(self._snapshot.run, files, f"execution IN ({MEMBERS})", rows=True)
-        return self._relations[table]
+        if not (files := self._files[table]):
+            return Relation(identifier(table), self._derived(table).columns)
+        self._read_tables.add(table)
+        return relation(self._snapshot.run, files, f"execution IN ({MEMBERS})", rows=True)
 
     def shared_axis(self, table: str, columns: Sequence[str]) -> str | None:
-        """Return the first of these numeric columns that behaves like a time; None if none does.
-
-        A time increases from row to row. It also has the same values in all runs, as far as each run goes. At least two runs
-        are needed, because in a single run any increasing column would qualify.
-        """
-        data = self._data(table)
+        """Return the first of these numeric columns of an output that behaves like a time; None if none does."""
+        data = self.rows(table)
         if robot := self.column_of_robots(table):  # each robot has a time of its own; the first one's rows follow each other
             data = f"(SELECT * FROM {data} WHERE {robot} = (SELECT min({robot}) FROM {data}))"
-        grows = [column for column in columns if column in self._growing(data, columns)]
-        return next((column for column in grows if self._alike(data, identifier(column))), None)
+        return time_axis.shared_axis(self.run, data, columns)
 
-    def _alike(self, data: str, column: str) -> bool:
-        """Return whether a column has the same values in all runs, except for rounding."""
-        part = rounded_times.PART
-        return any(self._snapshot.run(text.format(column=column, data=data, part=part)) for text in (ALIKE, NEARLY_ALIKE))
-
-    def _growing(self, data: str, columns: Sequence[str]) -> set[str]:
-        """Return the columns that increase from row to row in the longest run."""
-        if not columns:
-            return set()
-        longest = (
-            f'SELECT run, "# experiment" FROM {data} GROUP BY ALL HAVING count(*) > 1 '
-            'ORDER BY count(*) DESC, run, "# experiment" LIMIT 1'
-        )
-        steps = ", ".join(f"{c}::DOUBLE AS {c}, lag({c}::DOUBLE) OVER w AS {p}" for c, p in _pairs(columns))
-        tests = ", ".join(
-            f"bool_and(isfinite({c}) AND ({p} IS NULL OR {c} > {p})) AND count({c}) = count(*)" for c, p in _pairs(columns)
-        )
-        rows = self._snapshot.run(
-            f'SELECT {tests} FROM (SELECT {steps} FROM {data} SEMI JOIN ({longest}) USING (run, "# experiment") '
-            'WINDOW w AS (ORDER BY "# place"))'
-        )
-        return {column for column, grows in zip(columns, rows[0], strict=True) if grows}
-
-    def constant(self, table: str, columns: Sequence[str]) -> set[str]:
-        """Return the columns that have the same value in all rows of all runs."""
-        if not columns:
-            return set()
-        tests = ", ".join(f"coalesce(min({c}) = max({c}) AND count({c}) = count(*), false)" for c in map(identifier, columns))
-        [row] = self._snapshot.run(f"SELECT {tests} FROM {self._data(table)}")
-        return {column for column, is_constant in zip(columns, row, strict=True) if is_constant}
-
-    def differing(self, table: str, columns: Sequence[str]) -> dict[str, float]:
-        """Return by column which part of the variance of the runs' means is between experiments: 0 is nothing, 1 is all."""
-        if not columns:
-            return {}
-        data = self._data(table)
-        names = [(f"c{number}", identifier(column)) for number, column in enumerate(columns)]
-        means = ", ".join(f"avg({column}::DOUBLE) FILTER (isfinite({column}::DOUBLE)) AS {name}" for name, column in names)
-        parts = ", ".join(f"avg({name}) AS m{name}, coalesce(var_pop({name}), 0) AS v{name}" for name, _ in names)
-        shares = ", ".join(f"var_pop(m{name}) / nullif(var_pop(m{name}) + avg(v{name}), 0)" for name, _ in names)
-        of_runs = f'SELECT "# experiment" AS e, run, {means} FROM {data} GROUP BY ALL'
-        [found] = self._snapshot.run(f"SELECT {shares} FROM (SELECT e, {parts} FROM ({of_runs}) GROUP BY e)")
-        known = zip(columns, found, strict=True)  # the variance of very large numbers is not finite
-        return {column: share if share is not None and isfinite(share) else 0.0 for column, share in known}
-
+    @_once
     def offset(self, table: str, column: str) -> int:
         """Return a whole number to subtract from a column before its values become floats; 0 if floats hold its digits.
 
         It is the median of a column of whole numbers or decimals, of which some have more than 53 bits. Raises NotFound.
         """
-        return self.once(("offset", table, column), partial(self._offset, table, column))
-
-    def _offset(self, table: str, column: str) -> int:
-        data, kind = self._data(table), self._type(table, column)
+        data, kind = self.rows(table), self._type(table, column)
         if not re.fullmatch(EXACT, kind):
             return 0
         value = identifier(column)
@@ -548,7 +471,7 @@ class Frame:
         return int(Decimal(middle))
 
     def _type(self, table: str, column: str) -> str:
-        types = self._relation(table, self._files[table]).types
+        types = self._relation(table).types
         return next((kind for name, kind in types.items() if name.lower() == column.lower()), "")
 
     def samples(
@@ -560,8 +483,8 @@ class Frame:
         number that is subtracted from all values before they become floats. `shared`: the column `shared_t` has the times that
         rows share with other runs, if they differ by rounding only.
         """
-        data = self._data(table)
-        if column in _mixed(self._relation(table, self._files[table])):
+        data = self.rows(table)
+        if column in _mixed(self._relation(table)):
             raise NotFound(f"column {column!r} of output {table!r} {MIXED}")
         known = self._columns(data)
         if column.lower() not in map(str.lower, known):
@@ -587,49 +510,43 @@ class Frame:
 
         `times` are the expressions for a row's own time, and for the time that it shares with rows of other runs.
         """
-        value, data = identifier(column), self._rows(table, where)
+        value, data = identifier(column), self.rows(table, where)
         if offset:
             kind = self._type(table, column)
             wide = kind if kind.startswith("DECIMAL") else "HUGEINT"
             value = f"({value}::{wide} - '{offset}'::{wide})"
-        robot = self.column_of_robots(table)
-        t, shared_t = times if not robot else (self._time(table, time), "t")
-        aligned = self._same_times(table, robot, time, t, where) if robot else None
+        is_of_robots = bool(self.column_of_robots(table))
+        t, shared_t = times if not is_of_robots else (self._time(table, time), "t")
+        aligned = self._same_times(table, time, where) if is_of_robots else None
         if aligned is None:
             own = '"# experiment" AS experiment, run, "# number" AS number'
             order = self._order(table)
             return f"SELECT {own}, {t} AS t, {shared_t} AS shared_t, {value}::DOUBLE AS value, {order} FROM {data}"
         template = robot_means.SAME_TIMES if aligned else robot_means.OTHER_TIMES
-        return f"SELECT *, t AS shared_t FROM ({template.format(rows=self._of_robots(table, robot, value, t, where))})"
+        return f"SELECT *, t AS shared_t FROM ({template.format(rows=self._of_robots(table, value, time, where))})"
 
     def _time(self, table: str, time: str, *, shared: bool = True) -> str:
         """Return the SQL expression for the time of a row. If `shared`, times that differ by rounding only are one."""
         if not time:
             return '"# place"::DOUBLE'
         own = f"{identifier(time)}::DOUBLE" if self.time_kind(table, time) is None else self._seconds(table, time)
-        if not shared:
-            return own
-        if (table, time) not in self._times:
-            self._times[table, time] = self._one_time(table, own)
-        return self._times[table, time]
+        return self._shared_time(table, own) if shared else own
 
+    @_once
     def time_kind(self, table: str, time: str) -> TimeKind | None:
         """Return the form of times that are no numbers; None for numbers. Raises NotFound for texts that are no times."""
-        return self.once(("time", table, time), partial(self._time_kind, table, time))
-
-    def _time_kind(self, table: str, time: str) -> TimeKind | None:
-        kind, data = self._type(table, time), self._data(table)
+        kind, data = self._type(table, time), self.rows(table)
         if not kind or re.fullmatch(NUMERIC, kind):
             return None
-        found = clock_times.kind_of(self._snapshot.run, data, time, kind)
-        if found is None:
+        form = clock_times.kind_of(self._snapshot.run, data, time, kind)
+        if form is None:
             [(example,)] = self._snapshot.run(f"SELECT min({identifier(time)})::VARCHAR FROM {data}")
             raise NotFound(
                 f"output {table!r}: its time {time!r} has {'no value' if example is None else f'values such as {example!r}'}, "
                 f"which are neither numbers nor times; name another column (time in [outputs.{table}]), or let the run write "
                 "seconds, 00:00:10 or 2024-05-01T10:00:00"
             )
-        return found
+        return form
 
     def _seconds(self, table: str, time: str) -> str:
         """Return the name of a column of the table's rows that has the seconds of a time that is no number."""
@@ -649,22 +566,23 @@ class Frame:
         self._snapshot.run(SHOWN.format(data=identifier("data " + table), rows=rows))
         return name
 
-    def _one_time(self, table: str, time: str) -> str:
+    @_once
+    def _shared_time(self, table: str, time: str) -> str:
         """Return `time`, or an expression that looks it up in a table of the times that differ by rounding only."""
-        data, robot = self._data(table), self.column_of_robots(table)
+        data, robot = self.rows(table), self.column_of_robots(table)
         rows = rounded_times.rows(data, time, robot)
         try:
             if self._snapshot.run(rounded_times.SHARED.format(rows=rows))[0][0] in (True, None):
                 return time
-            found = self._snapshot.connection.sql(rounded_times.STEPS.format(rows=rows)).to_arrow_table()
+            steps = self._snapshot.connection.sql(rounded_times.STEPS.format(rows=rows)).to_arrow_table()
         except Damaged:
             raise
         except Exception as error:
             raise NotFound(f"output {table!r}, time {time}: {explain(error)}") from error
-        same = dict(rounded_times.same(numpy_of(found.column("t")), numpy_of(found.column("step"))))
+        same = dict(rounded_times.same(numpy_of(steps.column("t")), numpy_of(steps.column("step"))))
         if not same:
             return time
-        name = f"times {len(self._times)}"
+        name = f"times {len(self._computed)}"
         self._snapshot.add_table(name, own=same, shown=same.values())
         return f"coalesce((SELECT shown FROM {identifier(name)} WHERE own = {time}), {time})"
 
@@ -672,48 +590,41 @@ class Frame:
         """Return the columns that say where a row is: its file, and its place there; NULL in derived tables."""
         if not self._files[table]:
             return "NULL::VARCHAR AS file, NULL::BIGINT AS place"
-        file = "file" if "file" in self._relation(table, self._files[table]).types else "NULL::VARCHAR"
+        file = "file" if "file" in self._relation(table).types else "NULL::VARCHAR"
         return f'{file} AS file, "# place" AS place'
 
+    @_once
     def column_of_robots(self, table: str) -> str:
         """Return the column with the robot's place, if the robots of each run write a table together; "" if not."""
-        files = self._files.get(table)
-        if not files:
+        if not self._files.get(table):
             return ""
-        if table not in self._robots:
-            source = self._relation(table, files)
-            possible = robot_means.COLUMNS if self._on_robots else (robot_means.SIMULATED,)
-            named = [column for column in possible if {column, "file"} <= source.types.keys()]
-            rows = f"(SELECT * FROM {source.sql} WHERE execution IN ({MEMBERS}))"
-            is_robot = robot_means.IS_PLACE if self._on_robots else robot_means.HAS_OWN_FILE
-            tests = {column: is_robot.format(column=column, data=rows) for column in named}
-            self._robots[table] = next((column for column, test in tests.items() if self._snapshot.run(test)[0][0]), "")
-        return self._robots[table]
+        source = self._relation(table)
+        possible = robot_means.COLUMNS if self._on_robots else (robot_means.SIMULATED,)
+        named = [column for column in possible if {column, "file"} <= source.types.keys()]
+        rows = f"(SELECT * FROM {source.sql} WHERE execution IN ({MEMBERS}))"
+        is_robot = robot_means.IS_PLACE if self._on_robots else robot_means.HAS_OWN_FILE
+        tests = {column: is_robot.format(column=column, data=rows) for column in named}
+        return next((column for column, test in tests.items() if self._snapshot.run(test)[0][0]), "")
 
-    def _of_robots(self, table: str, robot: str, value: str, t: str, where: str) -> str:
-        """Return the query for the rows of the robots that count; `robot` is their column."""
-        return robot_means.rows(self._rows(table, where), robot, value, t, simulated=not self._on_robots)
+    def _of_robots(self, table: str, value: str, time: str, where: str) -> str:
+        """Return the query for the rows of the robots that count."""
+        robot, t = self.column_of_robots(table), self._time(table, time)
+        return robot_means.rows(self.rows(table, where), robot, value, t, simulated=not self._on_robots)
 
     def robots_note(self, table: str, time: str = "") -> str:
         """Return a note about the statistics of a table; "" if robots did not write it together."""
-        if not (robot := self.column_of_robots(table)):
+        if not self.column_of_robots(table) or (aligned := self._same_times(table, time, "")) is None:
             return ""
-        t = self._time(table, time)
-        aligned = self._same_times(table, robot, time, t, "")
-        if aligned is None:
-            return ""
-        rows = self._of_robots(table, robot, "NULL", t, "")
+        rows = self._of_robots(table, "NULL", time, "")
         [(partial,)] = self._snapshot.run(robot_means.PARTIAL.format(rows=rows))
         return robot_means.note(table, same_times=aligned, partial=partial)
 
-    def _same_times(self, table: str, robot: str, time: str, t: str, where: str) -> bool | None:
+    @_once
+    def _same_times(self, table: str, time: str, where: str) -> bool | None:
         """Return whether the robots of each run have the same times; None if a robot has two rows at one time."""
-        key = (table, time, where)
-        if key not in self._aligned:
-            rows = self._of_robots(table, robot, "NULL", t, where)
-            [(doubled, same)] = self._snapshot.run(robot_means.TIMES.format(rows=rows))
-            self._aligned[key] = None if doubled else same
-        return self._aligned[key]
+        rows = self._of_robots(table, "NULL", time, where)
+        [(doubled, same)] = self._snapshot.run(robot_means.TIMES.format(rows=rows))
+        return None if doubled else same
 
     def data(self, table: str, time: str = "", where: str = "", *, timed: bool = True) -> None:
         """Create the view `data` of all rows of one output, with all columns. Raises NotFound for an unknown output.
@@ -721,7 +632,7 @@ class Frame:
         It also has the number of the experiment `"# experiment"`, of the run `"# number"`, of the row in its run `"# place"`,
         and the time `"# t"`, in which times that differ by rounding only are one if `timed`.
         """
-        rows, t = self._rows(table, where), self._time(table, time, shared=timed)
+        rows, t = self.rows(table, where), self._time(table, time, shared=timed)
         self._snapshot.run("DROP VIEW IF EXISTS data")
         self._snapshot.run(f'CREATE TEMP VIEW data AS SELECT *, {t} AS "# t" FROM {rows}')
 
@@ -730,8 +641,8 @@ class Frame:
 
         So an experiment whose runs have all failed is found too.
         """
-        self._rows(table, where)
-        data = self._data(table)
+        self.rows(table, where)  # checks the condition
+        data = self.rows(table)
         none = f"(SELECT *{_renaming(self._named_like_variables(data))} FROM {data} LIMIT 0)"
         with self._limited(where) as connection:
             rows = connection.execute(
@@ -740,24 +651,24 @@ class Frame:
             ).fetchall()
         return {ordinal for (ordinal,) in rows}
 
-    def _rows(self, table: str, where: str) -> str:
+    def rows(self, table: str, where: str = "") -> str:
         """Return the relation of the rows of an output that fulfil a condition. Raises UsageError for an invalid one.
 
         In the condition, a name that a variable and a column share is the variable; the column's name gets a `_`, as in SQL.
+        The rows are loaded when they are first used. Raises NotFound for an unknown output.
         """
-        data = self._data(table)
+        data = self._load(table)
         if not where:
             return data
-        if (table, where) not in self._chosen:
-            self._chosen[table, where] = self._choose(data, where)
-        return f'(SELECT * FROM {data} WHERE "# rowid" IN (SELECT "# rowid" FROM {self._chosen[table, where]}))'
+        return f'(SELECT * FROM {data} WHERE "# rowid" IN (SELECT "# rowid" FROM {self._choose(data, where)}))'
 
+    @_once
     def _choose(self, data: str, where: str) -> str:
         """Make a temporary table of the rows that fulfil a condition, so that only this statement evaluates it.
 
         Return the table's name. Raises UsageError.
         """
-        chosen = identifier(f"chosen {len(self._chosen)}")
+        chosen = identifier(f"chosen {len(self._computed)}")
         renamed = f"(SELECT *{_renaming(self._named_like_variables(data))} FROM {data})"
         try:
             check_condition(self._snapshot.connection, where)
@@ -781,84 +692,55 @@ class Frame:
 
     def _named_like_variables(self, data: str) -> dict[str, str]:
         """Return the columns of a relation that have the name of a variable, and their names in conditions: with a `_`."""
-        if "# variables" not in self._loaded:
-            fixed = ", ".join(identifier(column.name) for column in RECORDED["experiments"].columns)
-            self._snapshot.run(
-                f'CREATE TEMP TABLE "# variables" AS SELECT ordinal AS "# ordinal", * EXCLUDE ({fixed}) FROM experiments '
-                "WHERE batch = $b",
-                {"b": self.batch},
-            )
-            self._loaded.add("# variables")
         columns = self._columns(data)
-        names = column_names(columns, taken=self._columns('"# variables"'))
+        names = column_names(columns, taken=self._variables())
         return {old: new for old, new in zip(columns, names, strict=True) if old != new}
 
+    @_once
+    def _variables(self) -> list[str]:
+        """Make the temporary table `"# variables"` of the values of variables, and return its columns."""
+        fixed = ", ".join(identifier(column.name) for column in RECORDED["experiments"].columns)
+        self._snapshot.run(
+            f'CREATE TEMP TABLE "# variables" AS SELECT ordinal AS "# ordinal", * EXCLUDE ({fixed}) FROM experiments '
+            "WHERE batch = $b",
+            {"b": self.batch},
+        )
+        return self._columns('"# variables"')
+
+    @_once
     def _columns(self, relation: str) -> list[str]:
         """Return the columns of a relation that does not change any more."""
-        described = self.once(("columns", relation), lambda: self._snapshot.run(f"DESCRIBE {relation}"))
-        return [name for name, *_ in described if not name.startswith("# ")]
+        return [name for name, *_ in self._snapshot.run(f"DESCRIBE {relation}") if not name.startswith("# ")]
 
-    def _data(self, table: str) -> str:
-        """Return the relation of the rows of an output, which is loaded when it is first used. Raises NotFound."""
-        if table not in self._files:
-            raise NotFound(f"no output {table!r} in this batch; it has {', '.join(self.names) or 'none'}")
-        if table not in self._loaded:
-            self._load(table, self._files[table])
-            self._loaded.add(table)
-        return identifier("data " + table)
-
-    def _load(self, table: str, files: list[str]) -> None:
-        source, run = self._relation(table, files), self._snapshot.run
+    @_once
+    def _load(self, table: str) -> str:
+        """Load the rows of an output, and return their relation. Raises NotFound."""
+        files, run = self._files_of(table), self._snapshot.run
+        source = self._relation(table)
         data, rows = identifier("data " + table), identifier("rows " + table)
         shown = SHOWN.format(data=data, rows=rows)
         if not files:
             run(LOAD.format(rows=rows, table=identifier(table)))
             run(shown)
-            return
+            return data
         keys = ("execution", "file") if "file" in source.types else ("execution",)
         own = ", ".join(f"o.{key}" for key in keys)
         run("CREATE TEMP TYPE IF NOT EXISTS run_name AS ENUM (SELECT DISTINCT run FROM membership ORDER BY run)")
         run(f"CREATE OR REPLACE TEMP TABLE spans AS {SPANS.format(keys=', '.join(keys), source=source.sql)}")
-        place = 'o.file_row_number - s."# first"'
+        row_number = 'o.file_row_number - s."# first"'
         if not run('SELECT bool_and("# together") FROM spans')[0][0]:
-            place = f'row_number() OVER (PARTITION BY {own}, s."# experiment" ORDER BY o.filename, o.file_row_number) - 1'
+            row_number = f'row_number() OVER (PARTITION BY {own}, s."# experiment" ORDER BY o.filename, o.file_row_number) - 1'
         run(
-            f'CREATE TEMP TABLE {rows} AS SELECT s."# experiment", s."# number", {place} AS "# place", '
+            f'CREATE TEMP TABLE {rows} AS SELECT s."# experiment", s."# number", {row_number} AS "# place", '
             'o.* EXCLUDE (execution, filename, file_row_number) REPLACE (s."# run" AS run) '
             f"FROM {source.sql} o JOIN spans s ON {' AND '.join(f'o.{key} = s.{key}' for key in keys)}"
         )
         run(shown)
+        return data
 
-    def most_frequent(self, table: str, column: str) -> str | None:
-        """Return the most frequent text in a column of an output, of several the first; None if there is none."""
-        name = identifier(column)
-        rows = self._snapshot.run(
-            f"SELECT {name} FROM {self._data(table)} WHERE {name} IS NOT NULL GROUP BY ALL ORDER BY count(*) DESC, 1 LIMIT 1"
-        )
-        return next((str(value) for (value,) in rows), None)
-
-    def has_words(self, table: str, column: str) -> bool:
-        """Check if the texts of a column are words: neither true, false and the like, nor texts with a number at an end."""
-        name = f"lower(trim({identifier(column)}))"
-        number = f"regexp_matches({name}, '^[-+]?[.]?[0-9]|[(\\[] *[-+]?[.]?[0-9]|^(true|false)$')"
-        return not self._snapshot.run(f"SELECT 1 FROM {self._data(table)} WHERE {number} LIMIT 1")
-
-    def has_flags(self, table: str, column: str) -> bool:
-        """Check if all texts of a column are true, false, 0 or 1."""
-        other = f"lower(trim({identifier(column)})) NOT IN ('true', 'false', '0', '1')"
-        return not self._snapshot.run(f"SELECT 1 FROM {self._data(table)} WHERE {other} LIMIT 1")
-
-    def numbers_rows(self, table: str, column: str, time: str) -> bool:
-        """Check if whole numbers in a column tell rows of one run and time apart, as the number of a robot does."""
-        data, of, at = self._data(table), identifier(column), identifier(time)
-        fractions = f"SELECT 1 FROM {data} WHERE {of} <> floor({of}) LIMIT 1"
-        doubled = f"SELECT 1 FROM {data} GROUP BY run, {at}, {of} HAVING count(*) > 1 LIMIT 1"
-        return not self._snapshot.run(fractions) and not self._snapshot.run(doubled)
-
-    def has_single_rows(self, table: str, time: str) -> bool:
-        """Check if some run has a single row at some time."""
-        single = f"SELECT 1 FROM {self._data(table)} GROUP BY run, {identifier(time)} HAVING count(*) = 1 LIMIT 1"
-        return bool(self._snapshot.run(single))
+    def run(self, statement: str) -> list[RawRow]:
+        """Return the rows of a statement, on `rows` for example. Raises SqlError."""
+        return self._snapshot.run(statement)
 
     def select(self, kind: type[R], text: str, **parameters: object) -> list[R]:
         """Return the rows of one statement on the tables of the store as instances of a row class. Raises SqlError."""
@@ -892,24 +774,6 @@ SELECT s.*, m.experiment AS "# experiment", m.number AS "# number", m.run::run_n
 ) s JOIN membership m ON s.execution = m.judgement
 """
 """The first row of each execution in its file, and whether its rows follow each other there; then no rows need to be sorted."""
-ALIKE = """
-SELECT 1 FROM (SELECT count(DISTINCT run) AS runs FROM {data}) WHERE runs > 1 AND NOT EXISTS (
-    SELECT "# place" FROM {data} GROUP BY "# place"
-    HAVING min({column}) <> max({column}) OR count({column}) < count(*)
-)
-"""
-NEARLY_ALIKE = """
-SELECT 1 FROM (
-    SELECT max("# apart") AS "# apart", bool_and("# complete") AS "# complete" FROM (
-        SELECT max({column}) - min({column}) AS "# apart", count({column}) = count(*) AS "# complete"
-        FROM {data} GROUP BY "# place"
-    )
-) WHERE "# complete" AND (SELECT count(DISTINCT run) FROM {data}) > 1 AND "# apart" <= {part} * (
-    SELECT min("# step") FROM (
-        SELECT {column} - lag({column}) OVER (PARTITION BY run, "# experiment" ORDER BY "# place") AS "# step" FROM {data}
-    )
-)
-"""
 
 
 def _renaming(names: Mapping[str, str]) -> str:
@@ -918,38 +782,27 @@ def _renaming(names: Mapping[str, str]) -> str:
     return f" RENAME ({', '.join(pairs)})" if names else ""
 
 
-def _pairs(columns: Sequence[str]) -> list[tuple[str, str]]:
-    """Return each column and the name of its value in the previous row, as SQL identifiers."""
-    return [(identifier(column), identifier(f"# before {column}")) for column in columns]
-
-
 @dataclass(frozen=True, slots=True)
-class Column:
-    """One column of one output as a frame for statistics, with the column's values in `samples`."""
+class RecordedColumn:
+    """One column of one output for statistics, with the column's values in `samples`."""
 
-    frame: Frame
+    data: BatchData
     table: str
     column: str
     time: str
     where: str = ""
     offset: int = 0
-    """The number that is subtracted from all values: see `Frame.offset`."""
+    """The number that is subtracted from all values: see `BatchData.offset`."""
 
     def sql(self, text: str, /, **parameters: object) -> pa.Table:
-        self.frame.samples(self.table, self.column, self.time, self.where, self.offset, shared="shared_t" in text)
-        return self.frame.sql(text, **parameters)
+        self.data.samples(self.table, self.column, self.time, self.where, self.offset, shared="shared_t" in text)
+        return self.data.sql(text, **parameters)
+
+
+def _numeric_and_flags(types: Mapping[str, str]) -> tuple[tuple[str, ...], ...]:
+    """Return the numeric columns, and those of them that have only flags."""
+    return tuple(tuple(name for name, kind in types.items() if re.fullmatch(kinds, kind)) for kinds in (NUMERIC, FLAG))
 
 
 def _mixed(relation: Relation) -> tuple[str, ...]:
     return tuple(name for name in relation.texts if name not in relation.rounded)
-
-
-def names_time(column: str) -> bool:
-    """Return whether a column has the name of a time; the store may have added `_` to it, or what tells `t` from `T`."""
-    return column.lower().removesuffix(LOWER).rstrip("_") in TIMES
-
-
-def is_called_time(column: str) -> bool:
-    """Return whether a name may be that of a time, as in `[step]`, `timestamp` and `Zeit`; only its rows can tell."""
-    words = {word.lower() for word in re.findall(r"[A-Z]?[^\W\d_A-Z]+|[A-Z]+", column)}
-    return bool(words & {*TIMES, *OTHER_TIMES}) and words <= {*TIMES, *OTHER_TIMES, *BESIDE_TIME}
