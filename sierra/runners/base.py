@@ -236,7 +236,7 @@ def needed(programs: Programs, search: str) -> tuple[Requirement, ...]:
     For what a Python installation contains, only names and versions are compared. The first program is the command's own. It is
     called by its path: see `sierra.execution.commands.CommandBuilder`.
     """
-    from sierra.worker import array_task
+    from sierra.worker import required_files
 
     digests = HashCache()
     files = [one for one in programs.all if one.kind != Kind.DISTRIBUTIONS]
@@ -247,7 +247,7 @@ def needed(programs: Programs, search: str) -> tuple[Requirement, ...]:
             Requirement(one.name, one.path, sha256, search if one.path in called else "", link=one.kind == Kind.LINK)
             for one, sha256 in ((one, _content(one, digests)) for one in files)
         ),
-        *(Requirement(one.name, one.path, holds=array_task.installed(one.path)) for one in folders),
+        *(Requirement(one.name, one.path, holds=required_files.installed(one.path)) for one in folders),
     )
 
 
