@@ -57,6 +57,7 @@ import sysconfig
 import unicodedata
 import zipfile
 import zlib
+from functools import partial
 from pathlib import Path
 from typing import IO, Any, Callable, Iterable, Iterator, NamedTuple
 
@@ -796,23 +797,27 @@ def reproduce(options: argparse.Namespace) -> int:
     return 0
 
 
-def not_verified() -> int:
-    """Print the verdict on a package with faults; return the exit status."""
+def not_verified(fault: str = "") -> int:
+    """Print a fault that is not printed yet, and the verdict on a package with faults; return the exit status."""
+    report([fault] if fault else ())
     print(f"NOT VERIFIED: this is not what its authors packed. Level 0 of {LEVELS} reached; do not use its files.")
     return 1
 
 
 def main(arguments: list[str]) -> int:
-    options = parsed(arguments)
+    return status_of(partial(reproduce, parsed(arguments)), clean, not_verified)
+
+
+def status_of(program: Callable[[], int], shown: Callable[[str], str], damaged: Callable[[str], int] | None = None) -> int:
+    """Execute a program, and return its exit status. If it ends early, print the reason, or let `damaged` report a fault."""
     try:
-        status = reproduce(options)
+        status = program()
         sys.stdout.flush()  # fails here, and not at the end of Python
         return status
     except Stop as stop:
-        if stop.status == 1:
-            report([str(stop)])
-            return not_verified()
         reason, status = str(stop), stop.status
+        if damaged and status == 1:
+            return damaged(reason)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # nobody reads on; Python flushes once more at its end
         return 1
@@ -822,7 +827,7 @@ def main(arguments: list[str]) -> int:
         reason, status = "the memory of this machine is too small for the package", 3
     except (KeyboardInterrupt, EOFError):
         reason, status = "interrupted", 130
-    print(f"reproduce.py: {clean(reason)}", file=sys.stderr)
+    print(f"reproduce.py: {shown(reason)}", file=sys.stderr, flush=True)
     return status
 
 
