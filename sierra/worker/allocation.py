@@ -106,8 +106,8 @@ def value_of(name: str, wanted: str) -> str:
 
 def remove_dead(folder: str) -> None:
     """Remove the folder of an attempt that died on this host: locks of other hosts may not be seen here."""
-    found = os.lstat(folder)
-    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.geteuid():
+    status = os.lstat(folder)
+    if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.geteuid():
         return
     lock = os.open(os.path.join(folder, "owner"), os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
     try:

@@ -153,7 +153,7 @@ def first_record(settings: Settings, given: Allocation, index: int) -> Attempt:
 
 
 def is_recorded(name: str, patterns: list[str]) -> bool:
-    return any(fnmatch.fnmatchcase(name, one) for one in patterns) and not any(word in name.upper() for word in SECRET)
+    return any(fnmatch.fnmatchcase(name, pattern) for pattern in patterns) and not any(word in name.upper() for word in SECRET)
 
 
 def name_of_attempt(given: Allocation, suffix: int) -> str:
@@ -483,7 +483,7 @@ def main(arguments: list[str]) -> int:
     try:
         folder, index = os.path.abspath(arguments[0]), int(arguments[-1])
         probing = "--probe" in arguments
-        wall = next((float(one.partition("=")[2]) for one in arguments if one.startswith("--wall=")), None)
+        wall = next((float(argument.partition("=")[2]) for argument in arguments if argument.startswith("--wall=")), None)
         if attempt(folder, index, stop, wall=wall, probing=probing):
             return 0
         if stop.times and not probing:

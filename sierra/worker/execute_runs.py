@@ -71,9 +71,9 @@ def judged(place: Place, run: Run, end: Mapping[str, Any], folder: Path) -> Outc
         raise missing(f"{place.name} cannot start containers here: {refused.group(1)}")
     if trouble:
         return Outcome(run, FAILED, f"{trouble}: {last}")
-    found = renamed(digests_of(batch, end, folder), run.outputs, batch)
-    lost, new = sorted(run.outputs.keys() - found.keys()), sorted(found.keys() - run.outputs.keys())
-    unlike = sorted(path for path in run.outputs.keys() & found.keys() if run.outputs[path] != found[path])
+    outputs = renamed(digests_of(batch, end, folder), run.outputs, batch)
+    lost, new = sorted(run.outputs.keys() - outputs.keys()), sorted(outputs.keys() - run.outputs.keys())
+    unlike = sorted(path for path in run.outputs.keys() & outputs.keys() if run.outputs[path] != outputs[path])
     certain = [path for path in unlike if path not in batch.by_value]
     reasons = [f"{path} is missing" for path in lost] + [f"{path} is new" for path in new]
     reasons += [f"{path} differs" for path in certain]
@@ -99,8 +99,8 @@ def renamed(found: Mapping[str, str], recorded: Mapping[str, str], batch: Batch)
     their number has changed, those with the same name are compared first.
     """
     names: dict[str, str] = {}
-    for place in range(len(batch.patterns)):
-        old, new = ([path for path in paths if batch.pattern_of(path) == place] for paths in (recorded, found))
+    for pattern in range(len(batch.patterns)):
+        old, new = ([path for path in paths if batch.pattern_of(path) == pattern] for paths in (recorded, found))
         same = set(old) & set(new) if len(old) != len(new) else set()
         rest = (sorted((path for path in paths if path not in same), key=natural) for paths in (old, new))
         names.update({theirs: ours for ours, theirs in zip(*rest)})
@@ -110,7 +110,7 @@ def renamed(found: Mapping[str, str], recorded: Mapping[str, str], batch: Batch)
 def natural(path: str) -> tuple[list[Any], str]:
     """Return a key that sorts names by the numbers in them."""
     parts = re.split(r"([0-9]+)", path)
-    return [int(part) if place % 2 else part for place, part in enumerate(parts)], path
+    return [int(part) if number % 2 else part for number, part in enumerate(parts)], path
 
 
 def trouble_of(batch: Batch, run: Run, end: Mapping[str, Any]) -> str:

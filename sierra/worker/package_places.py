@@ -189,7 +189,7 @@ class Container:
         given = self.inherited()
         for name, text in recorded.environment.items():
             every = environment if VARIABLE in name else {"": ""}
-            given.update({name.replace(VARIABLE, one): text.replace(VALUE, value) for one, value in every.items()})
+            given.update({name.replace(VARIABLE, variable): text.replace(VALUE, value) for variable, value in every.items()})
         return {
             "argv": list(itertools.chain.from_iterable(map(words, recorded.argv))),
             "environment": given,

@@ -58,12 +58,12 @@ class Needs:
 
 def installed(folders: str) -> tuple[str, ...]:
     """Return the distributions in folders (as in a PATH), as the paths of their metadata, which contain name and version."""
-    found = []
+    paths = []
     for folder in folders.split(os.pathsep):
         with contextlib.suppress(OSError):
             names = (name for name in os.listdir(folder) if name.endswith((".dist-info", ".egg-info")))
-            found += [os.path.join(folder, name) for name in names]
-    return tuple(sorted(found))
+            paths += [os.path.join(folder, name) for name in names]
+    return tuple(sorted(paths))
 
 
 def check_installed(name: str, expected: set[str], actual: set[str]) -> None:
@@ -78,8 +78,8 @@ def check_installed(name: str, expected: set[str], actual: set[str]) -> None:
 
 def path_of(need: Need) -> str:
     """Return the path of a file; for a program that runs call by name, the path found here."""
-    found = shutil.which(need["name"], path=need["search"]) if need.get("search") else None
-    return found or need["path"]
+    path = shutil.which(need["name"], path=need["search"]) if need.get("search") else None
+    return path or need["path"]
 
 
 def hash_of(need: Need) -> str:

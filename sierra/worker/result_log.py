@@ -237,15 +237,15 @@ class Pack:
 
 def executed(folder: str, index: str, own: str, check_stop: Callable[[], None]) -> set[bytes]:
     """Return the executions whose end other attempts have recorded with all files intact. Calls `check_stop` for each chunk."""
-    found = set()
+    executions = set()
     for name in os.listdir(folder):
         path = os.path.join(folder, name)
         if name.startswith(index + ".") and name.endswith(".pack") and path != own:
             with contextlib.suppress(FileNotFoundError), open(path, "rb") as file:
                 for record, at, _ in records(file, 0):
                     if record["event"] == "end" and is_sound(file, at, record["files"], check_stop):
-                        found.add(short(record["execution"]))
-    return found
+                        executions.add(short(record["execution"]))
+    return executions
 
 
 def is_sound(file: BinaryIO, at: int, files: list[File], check_stop: Callable[[], None]) -> bool:
