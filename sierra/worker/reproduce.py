@@ -482,7 +482,7 @@ def describe(checked: Checked) -> None:
         print("  redacted: for double-blind review: hosts, folders, commits and times in the records are not the original ones")
     batches = about.get("batches", [])
     for batch in batches[:NAMED]:
-        print(f"  batch:   {clean(batch_id(batch))[:SHORT]} {clean(query(batch))}")
+        print(f"  batch:   {clean(text_of(batch, 'batch'))[:SHORT]} {clean(text_of(batch, 'query'))}")
     if len(batches) > NAMED:
         print(f"  and {len(batches) - NAMED:,} batches more")
 
@@ -499,14 +499,9 @@ def stated(checked: Checked) -> dict[str, Any]:
     return about
 
 
-def batch_id(batch: object) -> str:
-    """Return the id of a batch in a package's description; "?" if there is none."""
-    return str(batch.get("batch", "?")) if isinstance(batch, dict) else "?"
-
-
-def query(batch: object) -> str:
-    """Return the query of a batch in a package's description."""
-    return str(batch.get("query", "?")) if isinstance(batch, dict) else "?"
+def text_of(batch: object, key: str) -> str:
+    """Return a text about a batch in a package's description; "?" if there is none."""
+    return str(batch.get(key, "?")) if isinstance(batch, dict) else "?"
 
 
 def next_levels(checked: Checked, folder: Path | None) -> None:
@@ -579,13 +574,11 @@ def level_2(checked: Checked, folder: Path, work: Path, options: argparse.Namesp
         raise Stop(f"the package has no {EXECUTOR}, which level 2 needs", 3)
     if Path(__file__).resolve().parent != folder.resolve():  # else this program came in the package too
         confirm(f"Level 2 starts {EXECUTOR} of the package, which asks again before it executes the runs.", yes=options.yes)
-    command = [sys.executable, "-I", str(folder / EXECUTOR), str(folder), str(work)]
-    command += [f"--id={package_id(checked.hashes)}"]
-    command += [f"--runs={options.runs}"] if options.runs is not None else []
-    command += [f"--seconds={seconds(options.budget)}"] if options.budget else []
-    command += [f"--engine={options.engine}"] if options.engine else []
-    command += ["--yes"] if options.yes else []
-    return waited_for(command)
+    command = [sys.executable, "-I", str(folder / EXECUTOR), str(folder), str(work), f"--id={package_id(checked.hashes)}"]
+    limit = seconds(options.budget) if options.budget else None
+    given = {"runs": options.runs, "seconds": limit, "engine": options.engine}
+    command += [f"--{name}={value}" for name, value in given.items() if value is not None]
+    return waited_for([*command, *(["--yes"] if options.yes else [])])
 
 
 def waited_for(command: list[str], home: Path | None = None) -> int:
