@@ -603,7 +603,7 @@ class Requirement:
     link: bool = False
     """True for a symbolic link that is itself required. `sha256` is then the hash of the path that it contains."""
     holds: tuple[str, ...] | None = None
-    """The packages installed in the folders of a Python (`path`, written like a PATH), as `array_task.installed` lists them."""
+    """The packages installed in the folders of a Python (`path`, written like a PATH): see `required_files.installed`."""
 
 
 class Purpose(StrEnum):

@@ -10,8 +10,8 @@ from typing import Any
 import sierra
 from sierra.api import Project
 from sierra.runners.cluster.result_log_reader import Pack
-from sierra.worker.array_task import Started
 from sierra.worker.processes import marked
+from sierra.worker.result_log import Started
 from tests import projects
 from tests.clusters import Slurm
 from tests.waiting import until

@@ -16,7 +16,7 @@ works in it once it is extracted.
     source/<tree, 12 digits>/ sources of the other batches
     source/history.bundle     the history of the recorded commits, for git clone
     figures/<batch>/          figures, tables and videos as they were made
-    execution/                programs and jobs that execute the runs without SIERRA; see sierra.packages.execute_runs
+    execution/                programs and jobs that execute the runs without SIERRA; see sierra.worker.execute_runs
     environment/              used-files.txt: files of the machine that runs used; images.json: container images
     environment/images/       container images, by id
     environment/sierra/       the wheel of the SIERRA that wrote the package, and requirements.txt, with which pip installs it

@@ -13,9 +13,6 @@ from pathlib import Path
 
 from sierra.worker.program import HERE
 
-APART = ("__init__.py", "reproduce.py")
-"""Modules that no node needs."""
-
 
 @lru_cache(maxsize=1)
 def packed() -> bytes:
@@ -23,7 +20,7 @@ def packed() -> bytes:
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as archive:
         for path in sorted(Path(HERE).glob("*.py")):
-            if path.name not in APART:
+            if path.name != "__init__.py":
                 member = zipfile.ZipInfo(path.name)
                 member.create_system, member.external_attr = 3, 0o644 << 16
                 archive.writestr(member, path.read_bytes())

@@ -4,6 +4,7 @@
     python3 -I -S worker.pyz conductor …        execute what is around a run's command: see `conductor`
     python3 -I -S worker.pyz array_task …       execute the runs of an array task: see `array_task`
     python3 -I -S worker.pyz robot_agent …      execute runs on a robot: see `robot_agent`
+    python3 -I worker.pyz execute_runs …        execute the runs of a reproduction package: see `execute_runs`
 
 They need only the standard library of Python 3.8 or newer. `worker.pyz` is a zip of the modules in this folder. This file also
 executes those that lie beside it.
@@ -16,7 +17,7 @@ import os
 import sys
 import types
 
-PROGRAMS = ("array_task", "conductor", "robot_agent")
+PROGRAMS = ("array_task", "conductor", "execute_runs", "robot_agent")
 
 
 def add_package():

@@ -24,11 +24,15 @@ class NotHeld(Exception):
     """A container cannot be started before its run begins, for the reason given in one line."""
 
 
+class CannotContinue(Exception):
+    """The reason, in one line, why an attempt at an array task cannot continue."""
+
+
 def explain(error: BaseException) -> str:
     name = getattr(error, "filename", None)
     if isinstance(name, bytes):
         name = os.fsdecode(name)
-    if isinstance(error, NotHeld):
+    if isinstance(error, (NotHeld, CannotContinue)):
         return str(error)
     reason = getattr(error, "strerror", None) or "%s: %s" % (type(error).__name__, error)
     return "%s: %s" % (name, reason) if name else reason

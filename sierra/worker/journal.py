@@ -16,7 +16,7 @@ import os
 import threading
 from typing import TYPE_CHECKING, Callable, TypedDict, Union
 
-from sierra.worker.files import write_all
+from sierra.worker.files import CHUNK, write_all
 
 if TYPE_CHECKING:
     from typing import Literal, NotRequired
@@ -138,6 +138,30 @@ class Journal:
 
     def close(self) -> None:
         os.close(self._file)
+
+
+class GrowingJournal:
+    """The events of a journal that another process writes, read while it grows."""
+
+    def __init__(self, path: str) -> None:
+        self._path = path
+        self._file: int | None = None
+        self._offset = 0
+
+    def read(self) -> list[Event]:
+        """Return the next events. An incomplete line counts as not written, and may be removed."""
+        if self._file is None:
+            try:
+                self._file = os.open(self._path, os.O_RDONLY | os.O_CLOEXEC)
+            except FileNotFoundError:
+                return []
+        data = more = os.pread(self._file, CHUNK, self._offset)
+        while more and b"\n" not in data:
+            more = os.pread(self._file, CHUNK, self._offset + len(data))
+            data += more
+        whole = data[: data.rfind(b"\n") + 1]
+        self._offset += len(whole)
+        return [json.loads(line) for line in whole.splitlines()]
 
 
 def no_outputs(error: str | None, stopped: str | None = None) -> Remains:

@@ -135,6 +135,16 @@ def separate(path: str) -> None:
     os.replace(copy, path)
 
 
+def hashed(path: str | int) -> tuple[int, str]:
+    """Return the size and the SHA-256 of a file."""
+    size, digest = 0, hashlib.sha256()
+    with open(path, "rb", buffering=0) as file:
+        for chunk in iter(lambda: file.read(CHUNK), b""):
+            digest.update(chunk)
+            size += len(chunk)
+    return size, digest.hexdigest()
+
+
 def describe(path: str, name: str, check_stop: Callable[[], None] = lambda: None) -> OutputFile:
     """Return the description of a file. Calls `check_stop` for each chunk."""
     counts = Counts()

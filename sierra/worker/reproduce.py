@@ -57,6 +57,7 @@ import sysconfig
 import unicodedata
 import zipfile
 import zlib
+from functools import partial
 from pathlib import Path
 from typing import IO, Any, Callable, Iterable, Iterator, NamedTuple
 
@@ -122,7 +123,7 @@ def missing(path: Path, error: OSError) -> Stop:
 
 def printable(text: object) -> str:
     """Return a text for the terminal: one line without control characters."""
-    return "".join(one if one.isprintable() else "?" for one in str(text))
+    return "".join(character if character.isprintable() else "?" for character in str(text))
 
 
 def clean(text: object) -> str:
@@ -146,8 +147,8 @@ def check_names(names: Iterable[str], what: str = "the package", *, portable: bo
         if same in seen:
             raise damaged(f"{what} has two members with one name on some systems: {seen[same]!r} and {name!r}")
         seen[same] = name
-        for place in (at for at, character in enumerate(same) if character == "/"):
-            folders.setdefault(same[:place], name)
+        for end in (at for at, character in enumerate(same) if character == "/"):
+            folders.setdefault(same[:end], name)
     for same in sorted(seen.keys() & folders.keys()):
         raise damaged(f"{what} has the member {seen[same]!r}, which is a folder of {folders[same]!r}")
 
@@ -192,16 +193,16 @@ def read_manifest(content: bytes) -> dict[str, str]:
         lines = content.decode().splitlines()
     except UnicodeDecodeError:
         raise damaged(f"{MANIFEST} is not UTF-8 text") from None
-    found: dict[str, str] = {}
+    hashes: dict[str, str] = {}
     for number, line in enumerate(lines, 1):
         parts = LINE.fullmatch(line)
         if parts is None:
             raise damaged(f"{MANIFEST}, line {number}: {line[:80]!r} is not a SHA-256 and a name")
-        found[parts.group(2)] = parts.group(1)
-    check_names([*found, MANIFEST])
-    if "".join(f"{found[name]}  {name}\n" for name in sorted(found)).encode() != content:
+        hashes[parts.group(2)] = parts.group(1)
+    check_names([*hashes, MANIFEST])
+    if "".join(f"{hashes[name]}  {name}\n" for name in sorted(hashes)).encode() != content:
         raise damaged(f"{MANIFEST} is not in the form that SIERRA writes: names in order, each once")
-    return found
+    return hashes
 
 
 def package_id(hashes: dict[str, str]) -> str:
@@ -481,7 +482,7 @@ def describe(checked: Checked) -> None:
         print("  redacted: for double-blind review: hosts, folders, commits and times in the records are not the original ones")
     batches = about.get("batches", [])
     for batch in batches[:NAMED]:
-        print(f"  batch:   {clean(batch_id(batch))[:SHORT]} {clean(query(batch))}")
+        print(f"  batch:   {clean(text_of(batch, 'batch'))[:SHORT]} {clean(text_of(batch, 'query'))}")
     if len(batches) > NAMED:
         print(f"  and {len(batches) - NAMED:,} batches more")
 
@@ -492,20 +493,15 @@ def stated(checked: Checked) -> dict[str, Any]:
         return {}
     if checked.package.size(ABOUT) > LARGEST_ABOUT:
         raise ValueError(f"{ABOUT} is too large")
-    found = json.loads(b"".join(verified(checked, ABOUT)))
-    if not isinstance(found, dict) or not isinstance(found.get("batches", []), list):
+    about = json.loads(b"".join(verified(checked, ABOUT)))
+    if not isinstance(about, dict) or not isinstance(about.get("batches", []), list):
         raise ValueError(f"{ABOUT} is no description of a package")
-    return found
+    return about
 
 
-def batch_id(batch: object) -> str:
-    """Return the id of a batch in a package's description; "?" if there is none."""
-    return str(batch.get("batch", "?")) if isinstance(batch, dict) else "?"
-
-
-def query(batch: object) -> str:
-    """Return the query of a batch in a package's description."""
-    return str(batch.get("query", "?")) if isinstance(batch, dict) else "?"
+def text_of(batch: object, key: str) -> str:
+    """Return a text about a batch in a package's description; "?" if there is none."""
+    return str(batch.get(key, "?")) if isinstance(batch, dict) else "?"
 
 
 def next_levels(checked: Checked, folder: Path | None) -> None:
@@ -561,8 +557,8 @@ def executed(checked: Checked, folder: Path, options: argparse.Namespace) -> int
     if not program and not wheels_fit(names):
         lines = "; ".join(installation(names))
         raise Stop(f"level 3 needs SIERRA with the command reproduce, or wheels of it for this Python: {lines}", 3)
-    made = "" if program else "installs SIERRA from the package's wheels without network, and "
-    confirm(f"Level 3 {made}executes the programs of the package on this machine.", yes=options.yes)
+    installs = "" if program else "installs SIERRA from the package's wheels without network, and "
+    confirm(f"Level 3 {installs}executes the programs of the package on this machine.", yes=options.yes)
     command = [program or installed(names, folder, work), "reproduce", str(folder), "--yes", "--into", str(work / "level-3")]
     command += ["--engine", options.engine.replace(HOST, "none")] if options.engine else []
     command += ["--budget", options.budget] if options.budget else []
@@ -578,13 +574,11 @@ def level_2(checked: Checked, folder: Path, work: Path, options: argparse.Namesp
         raise Stop(f"the package has no {EXECUTOR}, which level 2 needs", 3)
     if Path(__file__).resolve().parent != folder.resolve():  # else this program came in the package too
         confirm(f"Level 2 starts {EXECUTOR} of the package, which asks again before it executes the runs.", yes=options.yes)
-    command = [sys.executable, "-I", str(folder / EXECUTOR), str(folder), str(work)]
-    command += [f"--id={package_id(checked.hashes)}"]
-    command += [f"--runs={options.runs}"] if options.runs is not None else []
-    command += [f"--seconds={seconds(options.budget)}"] if options.budget else []
-    command += [f"--engine={options.engine}"] if options.engine else []
-    command += ["--yes"] if options.yes else []
-    return waited_for(command)
+    command = [sys.executable, "-I", str(folder / EXECUTOR), str(folder), str(work), f"--id={package_id(checked.hashes)}"]
+    limit = seconds(options.budget) if options.budget else None
+    given = {"runs": options.runs, "seconds": limit, "engine": options.engine}
+    command += [f"--{name}={value}" for name, value in given.items() if value is not None]
+    return waited_for([*command, *(["--yes"] if options.yes else [])])
 
 
 def waited_for(command: list[str], home: Path | None = None) -> int:
@@ -638,17 +632,17 @@ def wheels_fit(names: Iterable[str]) -> bool:
 
 def installed(names: set[str], folder: Path, work: Path) -> str:
     """Make a virtual environment from the wheels of a package, without network; return its SIERRA. Raises Stop."""
-    place = work / "venv"
-    program, complete = place / "bin" / "sierra", place / "complete"
+    venv = work / "venv"
+    program, complete = venv / "bin" / "sierra", venv / "complete"
     if complete.exists():
         return str(program)
     pip = next((name for name in sorted(wheels_of(names)) if name.startswith("pip-")), None)
-    run([sys.executable, "-I", "-m", "venv", "--clear", *(["--without-pip"] if pip else []), str(place)])
+    run([sys.executable, "-I", "-m", "venv", "--clear", *(["--without-pip"] if pip else []), str(venv)])
     words = [str(folder / WHEELS / pip / "pip")] if pip else ["-m", "pip"]
-    places = [word for name in (WHEELS, OWN_WHEEL) for word in ("--find-links", str(folder / name))]
+    sources = [word for name in (WHEELS, OWN_WHEEL) for word in ("--find-links", str(folder / name))]
     wanted = ["--require-hashes", "-r", str(folder / LOCK)] if LOCK in names else ["sierra-experiments"]
     options = ["--isolated", "--no-input", "--disable-pip-version-check", "--quiet", "--no-cache-dir", "--no-index"]
-    run([str(place / "bin" / "python"), *words, "install", *options, *places, *wanted])
+    run([str(venv / "bin" / "python"), *words, "install", *options, *sources, *wanted])
     if not program.exists():
         raise Stop(f"the wheels of the package do not install SIERRA: there is no {program}", 3)
     complete.touch()
@@ -722,8 +716,8 @@ def platform_fits(tag: str) -> bool:
 
 def glibc() -> tuple[int, int]:
     """Return the version of the GNU C library; (0, 0) if there is another one."""
-    found = re.fullmatch(r"(\d+)\.(\d+).*", platform.libc_ver()[1] if platform.libc_ver()[0] == "glibc" else "")
-    return (int(found.group(1)), int(found.group(2))) if found else (0, 0)
+    version = re.fullmatch(r"(\d+)\.(\d+).*", platform.libc_ver()[1] if platform.libc_ver()[0] == "glibc" else "")
+    return (int(version.group(1)), int(version.group(2))) if version else (0, 0)
 
 
 # The command
@@ -796,23 +790,27 @@ def reproduce(options: argparse.Namespace) -> int:
     return 0
 
 
-def not_verified() -> int:
-    """Print the verdict on a package with faults; return the exit status."""
+def not_verified(fault: str = "") -> int:
+    """Print a fault that is not printed yet, and the verdict on a package with faults; return the exit status."""
+    report([fault] if fault else ())
     print(f"NOT VERIFIED: this is not what its authors packed. Level 0 of {LEVELS} reached; do not use its files.")
     return 1
 
 
 def main(arguments: list[str]) -> int:
-    options = parsed(arguments)
+    return status_of(partial(reproduce, parsed(arguments)), clean, not_verified)
+
+
+def status_of(program: Callable[[], int], shown: Callable[[str], str], damaged: Callable[[str], int] | None = None) -> int:
+    """Execute a program, and return its exit status. If it ends early, print the reason, or let `damaged` report a fault."""
     try:
-        status = reproduce(options)
+        status = program()
         sys.stdout.flush()  # fails here, and not at the end of Python
         return status
     except Stop as stop:
-        if stop.status == 1:
-            report([str(stop)])
-            return not_verified()
         reason, status = str(stop), stop.status
+        if damaged and status == 1:
+            return damaged(reason)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # nobody reads on; Python flushes once more at its end
         return 1
@@ -822,7 +820,7 @@ def main(arguments: list[str]) -> int:
         reason, status = "the memory of this machine is too small for the package", 3
     except (KeyboardInterrupt, EOFError):
         reason, status = "interrupted", 130
-    print(f"reproduce.py: {clean(reason)}", file=sys.stderr)
+    print(f"reproduce.py: {shown(reason)}", file=sys.stderr, flush=True)
     return status
 
 

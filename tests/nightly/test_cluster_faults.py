@@ -16,8 +16,8 @@ from typing import Any
 
 import pytest
 
-from sierra.worker.array_task import Finished, Requeued
 from sierra.worker.processes import marked
+from sierra.worker.result_log import Finished, Requeued
 from tests import clusters, projects
 from tests.batches import WAITING, Gated, at_rest, ended, is_whole, packed, rows
 from tests.clusters import Slurm

@@ -1,14 +1,14 @@
 """The part `execution/` of a package: the jobs of its runs, for machines where SIERRA is not installed.
 
-The jobs are those of a replay, with marks for the paths of the machine. `sierra.packages.execute_runs` describes the files, and
-executes them. If the runs of a batch need more than that program provides, the plan has the reason instead of jobs.
+The jobs are those of a replay, with marks for the paths of the machine. `sierra.worker.package_plan` describes the files, and
+`sierra.worker.execute_runs` executes them. If the runs of a batch need more than that program provides, the plan has the reason
+instead of jobs.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 from sierra.containers.engines import apptainer, apptainer_ways_to_start, podman, podman_ways_to_start
@@ -20,7 +20,6 @@ from sierra.containers.images.image import AnyImage, Image
 from sierra.errors import DamagedFile, Missing, SierraError
 from sierra.execution import commands, plan_from_record, shared_files, targets
 from sierra.execution.plan_from_record import LAST, Last, Recalled
-from sierra.packages import execute_runs
 from sierra.packages.layout import EXECUTION, EXECUTOR, PLAN, PROJECT
 from sierra.packages.members import unsafe
 from sierra.packages.parts import recorded_jobs
@@ -34,8 +33,17 @@ from sierra.util import worker_zip
 from sierra.util.fs import inside
 from sierra.util.hashing import short
 from sierra.util.text import counted
-from sierra.worker import program
+from sierra.worker import package_places, package_plan, program
 
+STARTER = b'''"""Starts the program that executes the runs of this package: `execute_runs` in worker.pyz, beside this file."""
+
+import os
+import runpy
+import sys
+
+sys.argv.insert(1, "execute_runs")
+runpy.run_path(os.path.join(os.path.dirname(os.path.abspath(__file__)), "worker.pyz"), run_name="__main__")
+'''
 IN_PROJECT = "{project}/"
 FILES = (Kind.PROGRAM, Kind.LIBRARY, Kind.FILE)
 
@@ -43,7 +51,7 @@ FILES = (Kind.PROGRAM, Kind.LIBRARY, Kind.FILE)
 def members(subject: Subject, packed: Mapping[str, Member]) -> PartResult:
     """Return the programs, the plan, and the jobs of each batch. The reason why a batch has no jobs is a fact."""
     batches = [_Batch(subject, packed, batch) for batch in subject.batches]
-    plan = {"format": execute_runs.FORMAT, "batches": [part.plan for part in batches]}
+    plan = {"format": package_plan.FORMAT, "batches": [part.plan for part in batches]}
     described = Member(PLAN, json.dumps(plan, indent=1).encode() + b"\n", "plan of the runs for execution without SIERRA")
     obstacles = ((part.plan["batch"], part.plan["obstacle"]) for part in batches)
     facts = (f"only SIERRA can execute batch {short(batch)} again: {reason}" for batch, reason in obstacles if reason)
@@ -53,7 +61,7 @@ def members(subject: Subject, packed: Mapping[str, Member]) -> PartResult:
 
 def _programs() -> list[Member]:
     about = "program that executes the runs and compares their outputs; it needs only Python"
-    members = [Member(EXECUTOR, Path(execute_runs.__file__), about), Member(EXECUTION + SCRIPT.name, SCRIPT, about)]
+    members = [Member(EXECUTOR, STARTER, about), Member(EXECUTION + SCRIPT.name, SCRIPT, about)]
     return [*members, Member(EXECUTION + program.NAME, worker_zip.packed(), about)]
 
 
@@ -203,24 +211,24 @@ def _image(image: Image | None) -> dict[str, str] | None:
 
 
 def _clients(recalled: Recalled, image: Image) -> dict[str, dict[str, Any]]:
-    """Return the commands by which engines start a container for a run, with the marks of `execute_runs`."""
+    """Return the commands by which engines start a container for a run, with the marks of `package_places`."""
     conducting = commands.CONDUCTING if recalled.spec.around else ()
-    mounts = [Mount(execute_runs.SOURCE, PROJECT_INSIDE)]
-    mounts += [Mount(f"{execute_runs.HERE}/{program.NAME}", commands.PROGRAM)] if conducting else []
-    process = run_process((*conducting, execute_runs.COMMAND), {execute_runs.VARIABLE: execute_runs.VALUE}, *mounts)
-    box = ContainerSpec(image, execute_runs.IMAGE, session="package")
+    mounts = [Mount(package_places.SOURCE, PROJECT_INSIDE)]
+    mounts += [Mount(f"{package_places.HERE}/{program.NAME}", commands.PROGRAM)] if conducting else []
+    process = run_process((*conducting, package_places.COMMAND), {package_places.VARIABLE: package_places.VALUE}, *mounts)
+    box = ContainerSpec(image, package_places.IMAGE, session="package")
     start = apptainer_ways_to_start.Launcher(Apptainer.name, "", mapped=False, squashfs=True)
-    packed = f"{execute_runs.HERE}/{SCRIPT.name}"
+    packed = f"{package_places.HERE}/{SCRIPT.name}"
     return {
         Podman.name: {
-            "argv": podman.words(box, process, (execute_runs.WAY,)),
+            "argv": podman.words(box, process, (package_places.WAY,)),
             "environment": {},
             "inherits": podman.HANDED_ON.pattern,
             "stop": podman.STOP,
             "ways": podman_ways_to_start.WAYS,
         },
         Apptainer.name: {
-            "argv": (execute_runs.WAY, *(word.replace(str(SCRIPT), packed) for word in apptainer.words(start, box, process))),
+            "argv": (package_places.WAY, *(word.replace(str(SCRIPT), packed) for word in apptainer.words(start, box, process))),
             "environment": dict(apptainer.variables(start, box, process)),
             "inherits": apptainer_ways_to_start.HANDED_ON.pattern,
             "stop": (),

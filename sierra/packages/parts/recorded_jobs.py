@@ -1,4 +1,4 @@
-"""Recorded runs as lines of JSON that `sierra.packages.execute_runs` reads: what to execute, and the hashes of the outputs."""
+"""Recorded runs as lines of JSON that `sierra.worker.package_plan` reads: what to execute, and the hashes of the outputs."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from sierra.execution.commands import CommandBuilder
 from sierra.execution.plan_from_record import Recalled
 from sierra.ingest.rewriting import is_compressed
 from sierra.model import Run
-from sierra.packages import execute_runs
 from sierra.replay.pair_files import has_open_names
 from sierra.store.recorded_files import ChosenExecution
 from sierra.store.store import Store
 from sierra.templates.base import Files
+from sierra.worker import package_plan
 
 AT_A_TIME = 2048
 """The number of runs whose hashes of outputs are in memory at a time."""
@@ -81,7 +81,7 @@ class Jobs:
     """Writer of the jobs of a batch."""
 
     def __init__(self, store: Store, project: LoadedProject, recalled: Recalled, image: Image | None) -> None:
-        root = Path(execute_runs.PROJECT_MARK)
+        root = Path(package_plan.PROJECT_MARK)
         self._store = store
         self._builder = CommandBuilder(
             recalled.spec,
@@ -94,8 +94,8 @@ class Jobs:
             success=sorted(recalled.success.statuses),
             accept=sorted(recalled.success.accepted_statuses),
             timeouts={name: table.timeout for name, table in project.config.services.items()},
-            python=execute_runs.PYTHON_MARK,
-            arch=execute_runs.ARCH_MARK,
+            python=package_plan.PYTHON_MARK,
+            arch=package_plan.ARCH_MARK,
         )
         own_path = image is not None or "PATH" in recalled.spec.environment
         self._left_out = OF_SESSION if own_path else (*OF_SESSION, "PATH")
@@ -135,7 +135,7 @@ class Jobs:
                 texts = {name: content.decode("latin-1") for name, content in files}
                 outputs = left.get(run.judgement, ())
                 yield self._line(run, files) | {
-                    "files": {name: execute_runs.changes(before.get(name), text) for name, text in texts.items()},
+                    "files": {name: package_plan.changes(before.get(name), text) for name, text in texts.items()},
                     "outputs": {each.path: each.sha256 for each in outputs},
                 }
                 before = texts

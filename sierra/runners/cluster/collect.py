@@ -31,8 +31,8 @@ from sierra.util.fs import write_whole
 from sierra.util.json_types import RecordValue
 from sierra.util.lazy_definitions import dataclass, field, replace
 from sierra.util.text import counted
-from sierra.worker.array_task import Attempt, Finished, Requeued, Started, Trouble
 from sierra.worker.files import remove
+from sierra.worker.result_log import Attempt, Finished, Requeued, Started, Trouble
 
 AT_ONCE = 256
 """Largest number of runs that one look reports."""
@@ -395,7 +395,7 @@ class Collector:
 
 
 def jobs_of(session: SessionPaths, index: int) -> Iterator[tuple[str, str]]:
-    """Yield execution and run of each job of an element; see `sierra.worker.array_task.jobs` for the format."""
+    """Yield execution and run of each job of an element; see `sierra.worker.element_jobs` for the format."""
     with gzip.open(session.jobs(index), "rt", encoding="utf-8") as lines:
         common = json.loads(next(lines))["common"]
         for line in lines:

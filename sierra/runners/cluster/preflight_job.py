@@ -19,7 +19,7 @@ from sierra.store.layout import SessionPaths, user_clusters
 from sierra.util.cache import Cache
 from sierra.util.hashing import digest
 from sierra.util.json_types import Json
-from sierra.worker.array_task import Finished, Trouble
+from sierra.worker.result_log import Finished, Trouble
 
 VALID_S = 86_400.0
 MAX_CACHED = 64

@@ -1,6 +1,6 @@
 """Reader of the result logs (packs) that attempts at elements write, while they grow.
 
-See `sierra.worker.array_task` for the format.
+See `sierra.worker.result_log` for the format.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT
 from sierra.store.segments import disk_errors
 from sierra.util.lazy_definitions import dataclass, replace
 from sierra.util.regular_files import open_regular
-from sierra.worker import array_task
+from sierra.worker import result_log
 from sierra.worker.layout import OBSERVED
 
 if TYPE_CHECKING:
-    from sierra.worker.array_task import Other, Packed
+    from sierra.worker.result_log import Other, Packed
 
 CHUNK = 1 << 20
 NOTHING = (0, hashlib.sha256().hexdigest())
@@ -47,8 +47,8 @@ class Ended:
         return replace(self.result, printed=next(printed, NOTHING))
 
 
-Event = array_task.Record | Stalled | Ended
-KINDS: dict[str, Callable[..., Event]] = {**{event: kind for kind, event in array_task.EVENTS.items()}, "stalled": Stalled}
+Event = result_log.Record | Stalled | Ended
+KINDS: dict[str, Callable[..., Event]] = {**{event: kind for kind, event in result_log.EVENTS.items()}, "stalled": Stalled}
 
 
 class Pack:
@@ -69,7 +69,7 @@ class Pack:
         tries again. Raises OSError if the file cannot be read, and Damaged if it was written in another format.
         """
         with open_regular(self.path) as file:
-            for record, at, after in array_task.records(file, self._offset):
+            for record, at, after in result_log.records(file, self._offset):
                 try:
                     event = self._event(record, at)
                 except (TypeError, ValueError, LookupError) as error:

@@ -1,4 +1,4 @@
-"""Sharding of jobs over the elements of an array job, into the files that `sierra.worker.array_task.jobs` reads.
+"""Sharding of jobs over the elements of an array job, into the files that `sierra.worker.element_jobs` reads.
 
 Each file has once what all jobs of the element have in common, including the common parts of their input files, which come from
 one template. If memory suffices, each file is written in one go, because opening files is expensive on a network file system.
@@ -28,8 +28,8 @@ from sierra.store.layout import SessionPaths
 from sierra.store.segments import disk_errors
 
 if TYPE_CHECKING:
-    from sierra.worker import array_task
-    from sierra.worker.array_task import Difference
+    from sierra.worker import element_jobs
+    from sierra.worker.element_jobs import Difference
 
 LEVEL = 1
 ENCODER = json.JSONEncoder(separators=(",", ":"))
@@ -157,7 +157,7 @@ class _Template:
         self._content = content
         self._head = self._tail = len(content)
 
-    def difference(self, content: bytes) -> array_task.Between:
+    def difference(self, content: bytes) -> element_jobs.Between:
         """Return the number of bytes shared at the start, the base64 of the bytes between, and the number shared at the end."""
         if not self._fits(content):
             most = min(len(content), len(self._content))

@@ -17,7 +17,7 @@ import pytest
 import sierra
 from sierra.execution.summary import Summary
 from sierra.runners.cluster import sizing
-from sierra.worker.array_task import Started
+from sierra.worker.result_log import Started
 from tests.batches import packed
 from tests.clusters import Slurm
 from tests.conftest import Simulated

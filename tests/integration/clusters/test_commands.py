@@ -16,8 +16,8 @@ from typing import Any
 import pytest
 
 from sierra.runners.cluster.result_log_reader import Ended
-from sierra.worker import array_task
-from sierra.worker.array_task import Started
+from sierra.worker import result_log
+from sierra.worker.result_log import Started
 from tests import projects
 from tests.batches import packed
 from tests.clusters import Slurm
@@ -239,7 +239,7 @@ def test_results_that_cannot_be_read_are_not_deleted(waiting: Waiting, command: 
     until(lambda: waiting.alive() == 0, "the jobs end")
     [folder] = waiting.project.work()
     later = folder / "results" / "0.a.pack"
-    later.write_bytes(array_task.line_of({"event": "start", "when": 1}))
+    later.write_bytes(result_log.line_of({"event": "start", "when": 1}))
     done = waiting.project.quick(*(word.format(batch=waiting.batch()) for word in command))
     assert done.returncode == (0 if command == ("status",) else 1)
     assert "another version of SIERRA" in done.stderr

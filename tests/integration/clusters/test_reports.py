@@ -13,7 +13,7 @@ import pytest
 
 from sierra.runners.cluster import submission_record
 from sierra.runners.schedulers.base import State, Task
-from sierra.worker.array_task import Started
+from sierra.worker.result_log import Started
 from tests.batches import packed
 from tests.clusters import Slurm
 from tests.conftest import Simulated

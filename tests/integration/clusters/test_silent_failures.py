@@ -36,8 +36,8 @@ from sierra.runners.cluster.result_log_reader import Pack
 from sierra.runners.schedulers.base import Bounds, Request, State, Task
 from sierra.store.layout import user_apptainer
 from sierra.store.store import Store
-from sierra.worker.array_task import Attempt
 from sierra.worker.program import HERE
+from sierra.worker.result_log import Attempt
 from tests import containers, projects
 from tests.clusters import Slurm
 from tests.conftest import Simulated
@@ -250,7 +250,7 @@ def test_runs_that_end_during_cancellation_are_kept(
         return changed
 
     def late_to_heed(self: Here, request: Request) -> str:
-        change(request.folder / "worker.pyz", "array_task.py", slowed)
+        change(request.folder / "worker.pyz", "result_log.py", slowed)
         return submit(self, request)
 
     monkeypatch.setattr(Here, "submit", late_to_heed)
@@ -306,13 +306,13 @@ def test_a_partially_removed_session_is_not_a_submission(tmp_path: Path, monkeyp
 
 @pytest.mark.nightly
 def test_a_session_with_unreadable_results_is_cancelled(clustered: Callable[..., Clustered]) -> None:
-    from sierra.worker import array_task
+    from sierra.worker import result_log
 
     made = clustered(WAITS)
     made.project.run(*QUERY, runs=1, runner="here", detach=True, figures=False)
     made.simulated.until_executed(1)
     session = made.session()
-    (session / "results" / "0.other.pack").write_bytes(array_task.line_of({"event": "end", "told": "otherwise"}))
+    (session / "results" / "0.other.pack").write_bytes(result_log.line_of({"event": "end", "told": "otherwise"}))
     with pytest.raises(SierraError, match="another version"):
         made.project.cancel(session.name)
     until(lambda: all(process.poll() is not None for *_, process in Here.tasks))

@@ -25,7 +25,7 @@ def test_its_bytes_depend_only_on_the_sources() -> None:
 
 def test_it_has_all_modules_that_nodes_need() -> None:
     names = set(zipfile.ZipFile(io.BytesIO(packed())).namelist())
-    assert {path.name for path in Path(HERE).glob("*.py")} - names == {"__init__.py", "reproduce.py"}
+    assert {path.name for path in Path(HERE).glob("*.py")} - names == {"__init__.py"}
 
 
 def test_its_modules_never_load_an_installed_sierra(tmp_path: Path) -> None:

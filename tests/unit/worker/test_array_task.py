@@ -34,9 +34,9 @@ from sierra.runners.schedulers.base import NodeVariables
 from sierra.runners.schedulers.pbs import Pbs
 from sierra.store.layout import SessionPaths
 from sierra.util import worker_zip
-from sierra.worker import array_task, machine
-from sierra.worker.array_task import Attempt, Finished, Requeued, Started, Trouble
+from sierra.worker import element_jobs, machine, required_files, result_log
 from sierra.worker.processes import cpu_of
+from sierra.worker.result_log import Attempt, Finished, Requeued, Started, Trouble
 from tests.pythons import python_of
 from tests.support.worker_zip import change
 from tests.waiting import PATIENCE_S, until
@@ -165,7 +165,7 @@ def test_jobs_are_read_as_they_were_distributed(folder: Folder) -> None:
     ]
     jobs = [replace(jobs[0], observe={"home": "/home"}), *jobs[1:3], replace(jobs[3], observe={"home": "/other"})]
     assert folder.deal(jobs) == (4,)
-    arrived = list(array_task.jobs(str(folder.paths.jobs(0))))
+    arrived = list(element_jobs.jobs(str(folder.paths.jobs(0))))
     assert arrived == [json.loads(local.line(one)) for one in jobs]
 
 
@@ -174,7 +174,7 @@ def test_jobs_are_read_as_they_were_distributed(folder: Folder) -> None:
 def test_any_contents_of_inputs_are_read_as_they_were_distributed(tmp_path: Path, contents: list[bytes]) -> None:
     jobs = [job("x", "true", files=(("in", content),)) for content in contents]
     deal(jobs, 1, SessionPaths(tmp_path))
-    assert list(array_task.jobs(str(SessionPaths(tmp_path).jobs(0)))) == [json.loads(local.line(one)) for one in jobs]
+    assert list(element_jobs.jobs(str(SessionPaths(tmp_path).jobs(0)))) == [json.loads(local.line(one)) for one in jobs]
 
 
 def test_a_truncated_list_of_jobs_is_reported(folder: Folder) -> None:
@@ -483,7 +483,7 @@ def test_an_array_task_of_a_cancelled_session_starts_no_more_runs(folder: Folder
 @pytest.mark.integration
 def test_packing_stops_when_the_session_is_cancelled(folder: Folder) -> None:
     slow = "def _write(self, data, at):\n        time.sleep(len(data) / 1e7)\n        return self._written(data, at)\n\n"
-    change(folder.paths.worker, "array_task.py", lambda text: text.replace("def _write(self", f"{slow}    def _written(self"))
+    change(folder.paths.worker, "result_log.py", lambda text: text.replace("def _write(self", f"{slow}    def _written(self"))
     folder.deal([job("large", "truncate -s 300M x")])
     process = folder.start()
     folder.until_started()
@@ -563,7 +563,7 @@ def test_a_python_with_other_distributions_is_reported(folder: Folder, tmp_path:
     for name in ("numpy-1.26.4.dist-info", "old.egg-info", "numpy", "~umpy"):
         (tmp_path / "site-packages" / name).mkdir(parents=True)
     where = f"{tmp_path}/site-packages:{tmp_path}/none"
-    held = array_task.installed(where)
+    held = required_files.installed(where)
     assert [Path(path).name for path in held] == ["numpy-1.26.4.dist-info", "old.egg-info"]
     folder.set(needs=[{"name": "python3: installed distributions", "path": where, "sha256": "", "search": "", "holds": held}])
     folder.deal(many(2, "true"))
@@ -862,7 +862,7 @@ def test_a_pack_can_be_read_while_it_grows(packed: Pack, tmp_path: Path) -> None
 
 def test_a_record_of_another_version_is_reported(tmp_path: Path) -> None:
     pack = Pack(tmp_path / "0.a.b.c.d.pack")
-    pack.path.write_bytes(array_task.line_of({"event": "start", "execution": "x", "time": 1.0, "weather": "fine"}))
+    pack.path.write_bytes(result_log.line_of({"event": "start", "execution": "x", "time": 1.0, "weather": "fine"}))
     with pytest.raises(Damaged, match="another version"):
         list(pack.read())
 
@@ -880,17 +880,17 @@ def test_paths_out_of_a_runs_folder_are_refused(packed: Pack, tmp_path: Path, pa
 
 def test_outputs_that_are_not_in_the_pack_are_refused(packed: Pack, tmp_path: Path) -> None:
     with packed.path.open("rb") as file:
-        ends = [(record, at, after) for record, at, after in array_task.records(file, 0) if record["event"] == "end"]
+        ends = [(record, at, after) for record, at, after in result_log.records(file, 0) if record["event"] == "end"]
         record, at, after = next(one for one in ends if one[0]["outputs"])
         file.seek(at)
         payload = file.read(after - at)
     record.pop("check", None)
     hostile = Pack(tmp_path / packed.path.name)
-    hostile.path.write_bytes(array_task.line_of(record) + payload)
+    hostile.path.write_bytes(result_log.line_of(record) + payload)
     assert [type(event) for event in hostile.read()] == [Ended]
     record["outputs"][0]["path"] = "../../x"
     hostile = Pack(tmp_path / packed.path.name)
-    hostile.path.write_bytes(array_task.line_of(record) + payload)
+    hostile.path.write_bytes(result_log.line_of(record) + payload)
     with pytest.raises(Damaged):
         list(hostile.read())
 
@@ -910,7 +910,7 @@ def test_the_cpu_time_of_an_array_task_is_limited_relative_to_its_worker(folder:
     whole = cpu_of_children() - began
     alone = tmp_path / "alone"
     alone.mkdir()
-    lines = [json.dumps(one).encode() + b"\n" for one in array_task.jobs(str(folder.paths.jobs(0)))]
+    lines = [json.dumps(one).encode() + b"\n" for one in element_jobs.jobs(str(folder.paths.jobs(0)))]
     began = cpu_of_children()
     command = [sys.executable, "-I", "-S", str(folder.paths.worker), str(alone), "2"]
     with subprocess.Popen(command, stdin=subprocess.PIPE) as process:

@@ -13,15 +13,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import strategies as st
 
 import sierra
-from sierra.packages import execute_runs, members
+from sierra.packages import members
 from sierra.packages.members import MANIFEST
+from sierra.worker import execute_runs, package_plan
 from tests import containers, projects
-from tests.properties import given_in_tiers
 from tests.pythons import python_of
 from tests.unit.packages.test_pack import TOML
+from tests.unit.worker.test_package_plan import BATCH, LINE, made
 
 SIMULATOR = (
     projects.SIMULATOR
@@ -50,52 +50,7 @@ volatile = ["wall"]
 )
 
 
-@given_in_tiers(st.text(alphabet="ab\n\r\0é"), st.text(alphabet="ab\n\r\0é"))
-def test_inputs_as_differences_are_the_same_inputs(before: str, text: str) -> None:
-    described = json.loads(json.dumps(execute_runs.changes(before, text)))
-    assert execute_runs.changed(before, described) == text
-    assert execute_runs.changed(None, execute_runs.changes(None, text)) == text
-
-
 ABOUT = '[package]\ntitle = "x"\nauthors = [{ name = "A B" }]\nlicense = "MIT"\n'
-LINE = {
-    "run": "ab" * 32,
-    "experiment": 0,
-    "number": 0,
-    "seconds": 2.0,
-    "argv": ["python3", "/@sierra-project@/sim.py"],
-    "environment": {},
-    "files": {"input.xml": "<a/>"},
-    "outputs": {"swarm.csv": "0" * 64},
-}
-BATCH: dict[str, Any] = {
-    "batch": "cd" * 32,
-    "obstacle": "",
-    "of": 4,
-    "project": "project",
-    "programs": [],
-    "files": {},
-    "beside": {},
-    "needs": [],
-    "requires": [],
-    "image": None,
-    "clients": {},
-    "limits": {},
-    "success": [0],
-    "notes": [],
-    "jobs": "execution/jobs.jsonl",
-    "environment": {},
-    "by_value": {},
-}
-
-
-def made(folder: Path, *lines: Any, **batch: Any) -> Path:
-    """Write the files of an extracted package that the program reads."""
-    (folder / "execution").mkdir(parents=True)
-    plan = {"format": execute_runs.FORMAT, "batches": [{**BATCH, **batch}]}
-    (folder / "execution/plan.json").write_text(json.dumps(plan))
-    (folder / "execution/jobs.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
-    return folder
 
 
 def said(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str]:
@@ -143,7 +98,7 @@ def test_a_report_is_never_written_through_a_link(tmp_path: Path) -> None:
 
 def test_outputs_that_match_a_pattern_are_compared_by_order(tmp_path: Path) -> None:
     patterns = {"patterns": ["log_*.csv"], "named": ["log_last.csv"]}
-    batch = execute_runs.Batch(tmp_path, {**BATCH, **patterns})
+    batch = package_plan.Batch(tmp_path, {**BATCH, **patterns})
     found = {"log_10.csv": "a", "log_11.csv": "b", "log_last.csv": "c", "x.csv": "d"}
     recorded = {"log_9.csv": "a", "log_10.csv": "b", "log_last.csv": "c", "y.csv": "d"}
     assert execute_runs.renamed(found, recorded, batch) == {
@@ -161,7 +116,7 @@ def test_what_is_missing_is_named_before_anything_is_asked(tmp_path: Path, capsy
     status, printed = said(capsys, made(tmp_path / "x", LINE, needs=needs), tmp_path / "work", "--yes")
     assert (status, "argos3 is not installed (recorded: 3.0.0-beta59)" in printed) == (3, True)
     requires = {"requires": ["no-such-package>=4"]}
-    own = {**LINE, "argv": [execute_runs.PYTHON_MARK]}
+    own = {**LINE, "argv": [package_plan.PYTHON_MARK]}
     status, printed = said(capsys, made(tmp_path / "y", own, **requires), tmp_path / "work", "--yes")
     assert (status, "has no package no-such-package>=4" in printed) == (3, True)
     status, printed = said(capsys, made(tmp_path / "z", LINE), tmp_path / "work", "--engine", "podman", "--yes")
@@ -169,16 +124,6 @@ def test_what_is_missing_is_named_before_anything_is_asked(tmp_path: Path, capsy
     status, printed = said(capsys, made(tmp_path / "o", LINE, obstacle="its containers had access"), tmp_path / "work")
     assert (status, "needs level 3: its containers had access" in printed) == (3, True)
     assert not (tmp_path / "work").exists()
-
-
-def test_a_budget_gives_each_experiment_a_run_first(tmp_path: Path) -> None:
-    lines = [
-        {**LINE, "run": f"{place}{number}", "experiment": place, "number": number} for place in (0, 1) for number in (0, 1)
-    ]
-    for options, expected in (((None, 4.0), ["00", "10"]), ((1, None), ["00", "10"]), ((None, 0.1), ["00"])):
-        [batch], _ = execute_runs.read_plan(tmp_path / "x" if (tmp_path / "x").exists() else made(tmp_path / "x", *lines))
-        assert execute_runs.choose([batch], *options) == (len(expected), 2.0 * len(expected))
-        assert [run.run for run in batch.runs()] == expected
 
 
 @pytest.fixture(scope="module")
