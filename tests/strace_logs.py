@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import io
+import os
 
 from sierra.worker.file_trace import Trace
-from sierra.worker.trace_log import parsed
+from sierra.worker.trace_log import Log
 
 ENDED = "+++ exited with 0 +++"
 
@@ -32,7 +33,10 @@ LOG = r"""
 
 
 def read(text: str | bytes, cwd: str = "/w") -> Trace:
-    return parsed(io.BytesIO(text.encode() if isinstance(text, str) else text), cwd)
+    """Return what a log says; the first process began in the folder `cwd`."""
+    log = Log(os.fsencode(cwd))
+    log.read(io.BytesIO(text.encode() if isinstance(text, str) else text))
+    return log.trace("strace")
 
 
 def calls(*lines: str) -> Trace:

@@ -34,12 +34,10 @@ class Socket:
     __slots__ = ("groups", "name", "pid", "port", "reuses", "stream")
 
     def __init__(self, *, stream: bool | None = None) -> None:
-        self.stream = stream
-        self.reuses = False
+        self.stream, self.reuses, self.port = stream, False, 0
         self.name: str | None = None
         self.pid = b""
         """The process that has bound it."""
-        self.port = 0
         self.groups: set[str] = set()
 
 

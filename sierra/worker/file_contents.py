@@ -36,7 +36,7 @@ class Contents(NamedTuple):
     listings: Mapping[str, Sequence[str]] = {}
     """The names behind each of these SHA-256."""
     kinds: Mapping[str, str] = {}
-    """For each found path the SHA-256 of what `kind_of` returns."""
+    """For each found path the SHA-256 of what `sha256_of_kind` returns."""
 
 
 Hashed = Callable[[], str]
@@ -44,22 +44,12 @@ Cache = Callable[[str, os.stat_result, Hashed], str]
 """Returns the SHA-256 of a file with this path and status: one that it knows, or what the function returns that it is given."""
 
 
-def no_cache(path: str, status: os.stat_result, hashed: Hashed) -> str:
-    """Hash each file."""
-    return hashed()
-
-
-def everything(path: str) -> bool:
-    """Return True: the default of `is_listed`."""
-    return True
-
-
 def contents(
     trace: Trace,
     began: int,
-    cache: Cache = no_cache,
+    cache: Cache = lambda path, status, hashed: hashed(),
     check_stop: Callable[[], None] = nothing,
-    is_listed: Callable[[str], bool] = everything,
+    is_listed: Callable[[str], bool] = lambda path: True,
 ) -> Contents:
     """Return the content of all that a run executed, read or listed: of a trace that `Names.inputs` has returned.
 
@@ -138,14 +128,11 @@ class Reader:
             return
         if self._is_later(status):
             self.unusable[path] = LATER  # and yet its content is recorded, for what depends on the bytes alone
-        sha256 = self._cache(path, status, lambda: self._hashed(path))
+        sha256 = self._cache(path, status, lambda: sha256_of(path, self._environments, self._check_stop))
         if key_of(os.stat(path)) != key_of(status):
             self.unusable[path] = CHANGED
             return
         self.files[path] = File(sha256, status.st_size, key_of(status))
-
-    def _hashed(self, path: str) -> str:
-        return sha256_of(path, self._environments, self._check_stop)
 
     def list(self, own: set[str], is_listed: Callable[[str], bool], path: str) -> None:
         before = os.stat(path)

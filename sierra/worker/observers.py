@@ -106,10 +106,7 @@ class Traced:
     def __init__(self, program: str, log: str, cwd: str, own: Sequence[str] = ()) -> None:
         self._program, self._log, self._cwd = program, log, cwd
         self._own = [os.path.realpath(folder) for folder in own]
-        self._cut = False
-        self._started = False
-        self._conducted = False
-        self._late = False
+        self._cut = self._started = self._conducted = self._late = False
         self._unfit: str | None = None
         self._reader: Log | None = None
         self._offset = 0
@@ -181,7 +178,7 @@ class Traced:
             log.damage("the tracer did not end, and was killed")
         if stderr is not None and self._complains(stderr, check_stop):
             log.damage("the tracer has written to the run's standard error")
-        if not living or self._latest is None or before != self._offset or log.is_damaged or self._cut:
+        if not living or self._latest is None or before != self._offset or log.disturbed or self._cut:
             self._latest = log.trace(Strace.name, cut=self._cut, living=living)
         return self._latest
 

@@ -55,12 +55,10 @@ class Environments:
 
     def of(self, path: str) -> str | None:
         """Return the environment that a file is in; None if it is in none."""
-        return self._above(os.path.dirname(path))
-
-    def _above(self, folder: str) -> str | None:
+        folder = os.path.dirname(path)
         if folder not in self._known:
             inside = os.path.isfile(os.path.join(folder, VENV))
-            self._known[folder] = folder if inside else self._above(os.path.dirname(folder))
+            self._known[folder] = folder if inside else self.of(folder)
         return self._known[folder]
 
 
@@ -132,11 +130,7 @@ def counts_itself(path: str) -> bool:
     """Return whether Python executes a compiled module without a look at its source (see PEP 552), or without one."""
     if source_of(path) is None:
         return True
-    try:
-        with open(path, "rb") as file:
-            head = file.read(8)
-    except OSError:
-        return False
+    head = content_of(path)[:8]
     return len(head) == 8 and struct.unpack("<I", head[4:])[0] & 3 == 1
 
 
@@ -158,8 +152,8 @@ class Distributions:
         if folder not in self._folders:
             self._folders[folder] = owners(folder)
         top = name.partition("/")[0]
-        found = self._folders[folder].get(top, [])
-        several = (one for one in found if len(found) == 1 or name in recorded(folder, one))
+        candidates = self._folders[folder].get(top, [])
+        several = (one for one in candidates if len(candidates) == 1 or name in recorded(folder, one))
         unrecorded = self._folders[folder].get("=" + normalized(top.partition(".")[0]), [])[:1]
         return next(iter((*several, *unrecorded)), None)
 
@@ -167,10 +161,10 @@ class Distributions:
         """Return the distributions whose code is in files with these sizes, as `name==version`, those with most bytes first."""
         sizes: dict[str, int] = {}
         for path, size in files:
-            one = None if METADATA.search(path) else self.of(path)
-            if one is not None:
-                sizes[one] = sizes.get(one, 0) + size
-        named = (one.partition("-") for one in sorted(sizes, key=lambda one: (-sizes[one], one)))
+            distribution = None if METADATA.search(path) else self.of(path)
+            if distribution is not None:
+                sizes[distribution] = sizes.get(distribution, 0) + size
+        named = (distribution.partition("-") for distribution in sorted(sizes, key=lambda name: (-sizes[name], name)))
         return ["%s==%s" % (normalized(name), version) for name, _, version in named]
 
 

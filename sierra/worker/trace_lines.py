@@ -11,15 +11,8 @@ from typing import NamedTuple
 END = re.compile(rb"\) += ")
 CALL = re.compile(rb'(\w+\((?:"(?:[^"\\]|\\.)*"|<(?:[^<>\\]|\\.)*>|[^"<])*?)\) += (?=-?\d|\?)(.*)', re.S)
 RESULT = re.compile(rb"(-?\d+|\?)(?: <unavailable>)?(?:<((?:[^<>\\]|\\.)*)>(?:\(deleted\))?)?(?: (?:(E[A-Z0-9]+) )?\(.*\))?")
-NAME = rb'"((?:[^"\\]|\\.)*)"(\.\.\.)?'
 FILE = rb"(AT_FDCWD|-?\d+)(?:<((?:[^<>\\]|\\.)*)>(?:\(deleted\))?)?"
-PLAIN, AT, TARGET = rb"()()" + NAME, FILE + rb", " + NAME, rb'"(?:[^"\\]|\\.)*"(?:\.\.\.)?, '
-ONE, ONE_AT = re.compile(PLAIN), re.compile(AT)
-"""Arguments that begin with one name, of four groups: a folder's descriptor, its path, the name, and `...` if it is cut."""
-TWO, TWO_AT = re.compile(PLAIN + rb", " + PLAIN), re.compile(AT + rb", " + AT)
-LINK, LINK_AT = re.compile(TARGET + PLAIN), re.compile(TARGET + AT)
 OPENED = re.compile(FILE)
-FLAG = re.compile(rb"O_[A-Z]+")
 ESCAPED = re.compile(rb"\\([0-7]{1,3}|x[0-9a-f]{2}|.)", re.S)
 C_ESCAPES = {b"n": b"\n", b"t": b"\t", b"r": b"\r", b"v": b"\v", b"f": b"\f"}
 

@@ -5,29 +5,22 @@ from __future__ import annotations
 import os
 import re
 import stat
-from typing import IO, Callable, Iterable, Iterator, Sequence
+from typing import IO, Any, Callable, Iterable, Iterator, Sequence
 
 from sierra.worker.changed_names import ALONE, BOTH, EMPTIED, MADE, ChangedNames, clean, without_locks
 from sierra.worker.channels import INTERNET, UNIX, Channels
 from sierra.worker.executables import SCRIPTS, interpreter_of
-from sierra.worker.file_trace import Trace, nothing
-from sierra.worker.trace_lines import (
-    FLAG,
-    LINK,
-    LINK_AT,
-    ONE,
-    ONE_AT,
-    TWO,
-    TWO_AT,
-    Call,
-    Damaged,
-    opened_path,
-    parse,
-    plain,
-    without_escapes,
-)
+from sierra.worker.file_trace import LISTS, Trace, nothing
+from sierra.worker.trace_lines import FILE, Call, Damaged, opened_path, parse, plain, without_escapes
 from sierra.worker.traced_processes import STARTERS, Folder, Process, Processes
 
+NAME = rb'"((?:[^"\\]|\\.)*)"(\.\.\.)?'
+PLAIN, AT, TARGET = rb"()()" + NAME, FILE + rb", " + NAME, rb'"(?:[^"\\]|\\.)*"(?:\.\.\.)?, '
+ONE, ONE_AT = re.compile(PLAIN), re.compile(AT)
+"""Arguments that begin with one name, of four groups: a folder's descriptor, its path, the name, and `...` if it is cut."""
+TWO, TWO_AT = re.compile(PLAIN + rb", " + PLAIN), re.compile(AT + rb", " + AT)
+LINK, LINK_AT = re.compile(TARGET + PLAIN), re.compile(TARGET + AT)
+FLAG = re.compile(rb"O_[A-Z]+")
 MISSING = frozenset((b"ENOENT", b"ENOTDIR"))
 FORBIDDEN = frozenset((b"EACCES", b"EPERM", b"EROFS"))
 PRESENT = frozenset(
@@ -66,7 +59,7 @@ class Log:
         self._conducted = conducted
         self._reasons: dict[str, None] = {}
         self._notes: dict[str, None] = {}
-        self._disturbed: str | None = None
+        self.disturbed: str | None = None
         self._cut: str | None = None
         """Why the rest of the log was not read."""
         self._started = False
@@ -74,11 +67,7 @@ class Log:
         self._names = ChangedNames((os.path.dirname(cwd), *own), self._reasons)
         self._channels = Channels()
         self._executed: dict[bytes, None] = {}
-        self._read: set[bytes] = set()
-        self._found: set[bytes] = set()
-        self._missed: set[bytes] = set()
-        self._refused: set[bytes] = set()
-        self._listed: set[bytes] = set()
+        self._lists: dict[str, set[bytes]] = {name: set() for name in LISTS}
         self._links: dict[bytes, bytes] = {}
         self._read_links: set[bytes] = set()
 
@@ -103,17 +92,13 @@ class Log:
         return count
 
     def _has_too_many(self) -> bool:
-        paths = (self._read, self._found, self._missed, self._names.written, self._names.origins)
-        return sum(map(len, paths)) > MOST_PATHS
+        used = sum(len(self._lists[name]) for name in ("read", "found", "missed"))
+        return used + len(self._names.written) + len(self._names.origins) > MOST_PATHS
 
     def damage(self, reason: str) -> None:
         """Note that the log or the tracer is not as it should be, and so perhaps the run is not either."""
         self._reasons[reason] = None
-        self._disturbed = self._disturbed or reason
-
-    @property
-    def is_damaged(self) -> bool:
-        return self._disturbed is not None
+        self.disturbed = self.disturbed or reason
 
     # Calls and the paths that they name
 
@@ -181,19 +166,19 @@ class Log:
 
     def _fail(self, path: bytes, error: bytes) -> None:
         """A path could not be used."""
-        if error == b"ENOTDIR" and path not in self._missed and os.path.lexists(path):
+        if error == b"ENOTDIR" and path not in self._lists["missed"] and os.path.lexists(path):
             self._find(path)  # a file that was used like a folder
         elif error in MISSING:
-            if path not in self._missed and not self._names.is_own(path):
-                self._missed.add(path)
+            self._find(path, "missed")
         elif error in FORBIDDEN:
-            self._refused.add(path)
+            self._lists["refused"].add(path)
         elif error in PRESENT:
             self._find(path)
 
-    def _find(self, path: bytes) -> None:
-        if path not in self._found and not self._names.is_own(path):
-            self._found.add(path)
+    def _find(self, path: bytes, name: str = "found") -> None:
+        """Add a path to the list of this name, unless the run has made or removed it itself."""
+        if path not in self._lists[name] and not self._names.is_own(path):
+            self._lists[name].add(path)
 
     # The effects of calls
 
@@ -227,7 +212,7 @@ class Log:
         (path,) = paths
         if call.error == b"ENOENT" and os.path.exists(path):
             self._find(path)
-            self._missed.update(missing_interpreter(path))
+            self._lists["missed"].update(missing_interpreter(path))
         elif call.error:
             self._fail(path, call.error)
         else:
@@ -275,10 +260,10 @@ class Log:
     def _read_file(self, path: bytes, real: bytes) -> None:
         origin = self._names.origin(real)
         if origin is None:
-            self._read.add(real)
+            self._lists["read"].add(real)
             self._follow(path, real)
         elif origin:
-            self._read.add(origin)
+            self._lists["read"].add(origin)
 
     def _follow(self, path: bytes, real: bytes) -> None:
         """Note that a path led to another one, unless by a link that the run has made."""
@@ -300,8 +285,7 @@ class Log:
             return
         if not path.startswith(b"/"):
             raise Damaged
-        if path not in self._listed and not self._names.is_own(path):
-            self._listed.add(path)
+        self._find(path, "listed")
 
     def truncate(self, process: Process, call: Call, path: bytes) -> None:
         self._names.use_links(path)
@@ -344,7 +328,7 @@ class Log:
 
     def trace_others(self, process: Process, call: Call) -> None:
         self._reasons["it traces processes, or lets itself be traced"] = None
-        self._disturbed = self._disturbed or "it traces processes, or lets itself be traced, which strace prevents"
+        self.disturbed = self.disturbed or "it traces processes, or lets itself be traced, which strace prevents"
 
     def make_socket(self, process: Process, call: Call) -> None:
         if not call.error:
@@ -408,24 +392,20 @@ class Log:
         programs = self._programs()
         for path in self._read_links:
             self._follow(path, os.path.realpath(path))
-        folders = {path for path in self._read if os.path.isdir(path)}
-        read = self._read - folders - programs
+        folders = {path for path in self._lists["read"] if os.path.isdir(path)}
+        read = self._lists["read"] - folders - programs
+        found = (self._lists["found"] | folders) - read - programs - set(self._links)
+        changed = {"written": self._names.written, "removed": self._names.removed}
+        lists: dict[str, Any] = {**self._lists, **changed, "executed": programs, "read": read, "found": found}
         return Trace(
             way,
-            executed=sorted_names(programs),
-            read=sorted_names(read),
-            found=sorted_names((self._found | folders) - read - programs - set(self._links)),
-            missed=sorted_names(self._missed),
-            refused=sorted_names(self._refused),
-            listed=sorted_names(self._listed),
-            written=sorted_names(self._names.written),
-            removed=sorted_names(self._names.removed),
+            **{name: tuple(sorted(map(os.fsdecode, paths))) for name, paths in lists.items()},
             reread=without_locks(self._names.reread),
             reread_new=without_locks(self._names.reread_new, new=True),
             links={os.fsdecode(path): os.fsdecode(self._links[path]) for path in sorted(self._links)},
             channels=tuple((one_line(name), use) for name, use in self._channels.used()),
             reasons=tuple(map(one_line, (*self._reasons, *(self._now_unknown() if living else ())))),
-            disturbed=self._disturbed and one_line(self._disturbed),
+            disturbed=self.disturbed and one_line(self.disturbed),
             notes=tuple(map(one_line, self._notes)),
         )
 
@@ -442,7 +422,7 @@ class Log:
         """Yield why something that programs have done until now is not known yet."""
         if not self._started:
             yield "it had not begun"
-        if self._processes.is_waiting:
+        if self._processes.waiting:
             yield "a process had just begun"
 
     def _programs(self) -> set[bytes]:
@@ -471,10 +451,6 @@ class Log:
         return programs
 
 
-def sorted_names(paths: Iterable[bytes]) -> tuple[str, ...]:
-    return tuple(sorted(map(os.fsdecode, paths)))
-
-
 def missing_interpreter(path: bytes) -> list[bytes]:
     """Return what the kernel has looked for and not found in order to execute a file."""
     try:
@@ -498,13 +474,6 @@ def is_privileged(path: bytes) -> bool:
 def one_line(text: str) -> str:
     """Return a text with line breaks and the like escaped, so that it is one line."""
     return "".join(letter if letter.isprintable() else letter.encode("unicode_escape").decode() for letter in text)
-
-
-def parsed(log: IO[bytes], cwd: str) -> Trace:
-    """Return what a log of strace says; the first process began in the folder `cwd`."""
-    reader = Log(os.fsencode(cwd))
-    reader.read(log)
-    return reader.trace("strace")
 
 
 LOOKS = frozenset((Log.look, Log.look_at_link))

@@ -54,7 +54,7 @@ class Processes:
         """The processes that are just starting another one, by their ids."""
         self._adopters: set[bytes] = set()
         """Those of which the new process appeared before the call that started it returned."""
-        self._waiting: dict[bytes, list[bytes]] = {}
+        self.waiting: dict[bytes, list[bytes]] = {}
         """The lines of processes whose parent is not known yet, by their ids."""
 
     def add(self, line: bytes) -> None:
@@ -84,7 +84,7 @@ class Processes:
         if not self.first:
             self.first = pid
             return self._enter(pid, Folder(self._cwd))
-        if pid in self._waiting or len(self._starting) != 1:
+        if pid in self.waiting or len(self._starting) != 1:
             return None
         if not all(process.seen for process in self._living.values()):
             return None  # in another namespace, its own parent may have called it by another id
@@ -98,13 +98,13 @@ class Processes:
 
     def _keep(self, pid: bytes, line: bytes) -> None:
         """Keep a line until the parent of its process is known."""
-        self._waiting.setdefault(pid, []).append(line)
+        self.waiting.setdefault(pid, []).append(line)
         self._kept += 1
         if self._kept > MOST_WAITING:
             self.adopt_all()
 
     def _adopt(self, pid: bytes, folder: Folder) -> None:
-        lines = self._waiting.pop(pid)
+        lines = self.waiting.pop(pid)
         self._kept -= len(lines)
         self._enter(pid, folder)
         for line in lines:
@@ -112,9 +112,9 @@ class Processes:
 
     def adopt_all(self) -> None:
         """Add the lines of processes whose parents remain unknown, and so their folders."""
-        while self._waiting:
+        while self.waiting:
             self._strays += 1
-            self._adopt(next(iter(self._waiting)), Folder(None))
+            self._adopt(next(iter(self.waiting)), Folder(None))
 
     def _end(self, process: Process, rest: bytes) -> None:
         if OVER.fullmatch(rest):
@@ -174,15 +174,10 @@ class Processes:
     def _expect(self, child: bytes, folder: Folder) -> None:
         if child in self._living:
             raise Damaged
-        if child in self._waiting:
+        if child in self.waiting:
             self._adopt(child, folder)
         else:
             self._enter(child, folder, seen=False)
-
-    @property
-    def is_waiting(self) -> bool:
-        """True if there are lines of a process whose parent is not known yet."""
-        return bool(self._waiting)
 
     def unended(self) -> Iterator[str]:
         """Yield why the log does not tell of all processes until they end."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import os
 import shutil
 import subprocess
@@ -16,6 +15,7 @@ from sierra.worker import trace_log
 from sierra.worker.file_trace import Observation
 from sierra.worker.observers import Strace
 from sierra.worker.processes import all_processes
+from tests.strace_logs import read
 from tests.users import User, a_user, called_as
 
 HEAD = """
@@ -362,5 +362,5 @@ def test_a_real_log_that_is_cut_anywhere_is_never_complete(bench: Bench) -> None
     assert bench.main(body).trace.complete
     log = bench.place.with_suffix(".log").read_bytes()
     for size in range(len(log)):
-        assert not trace_log.parsed(io.BytesIO(log[:size]), str(bench.place)).complete
-    assert trace_log.parsed(io.BytesIO(log), str(bench.place)).complete
+        assert not read(log[:size], str(bench.place)).complete
+    assert read(log, str(bench.place)).complete

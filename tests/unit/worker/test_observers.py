@@ -84,12 +84,14 @@ def test_it_runs_alone_on_python_3_8(require: Callable[..., str], tmp_path: Path
     require("Python 3.8", there=oldest is not None)
     (tmp_path / "worker.pyz").write_bytes(worker_zip.packed())
     text = """
-import io, os, sys, zipimport
+import os, sys, zipimport
 programs = {"__name__": "programs", "__file__": sys.argv[1] + "/__main__.py"}
 exec(zipimport.zipimporter(sys.argv[1]).get_code("__main__"), programs)
 programs["add_package"]()
 from sierra.worker import file_contents, file_names, observers, trace_log
-trace = trace_log.parsed(io.BytesIO(sys.stdin.buffer.read()), "/w")
+log = trace_log.Log(b"/w")
+log.read(sys.stdin.buffer)
+trace = log.trace("strace")
 assert trace.complete, trace.reason
 names = file_names.Names({"project": "/w"})
 print([names.name(path) for path in names.inputs(trace).found], len(file_contents.contents(trace, 10**20).files) > 1)
