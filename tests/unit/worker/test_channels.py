@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from sierra.worker.channels import with_channels
 from sierra.worker.file_trace import Trace
 from tests.strace_logs import ENDED, read
 
@@ -103,5 +104,5 @@ def test_ports_of_the_run_and_of_shared_services_are_left_out() -> None:
         (name, "listened")
         for name in ("127.0.0.1:2000", "@/tmp/.X11-unix/X2000", "127.0.0.1:20001", "@db", "239.255.0.7:9/udp")
     )
-    kept = channels.with_channels(Trace("strace", channels=channels), [2000], ["@db"], {"GZ_PARTITION": "own"})
+    kept = with_channels(Trace("strace", channels=channels), [2000], ["@db"], {"GZ_PARTITION": "own"})
     assert [name for name, _ in kept.channels] == ["127.0.0.1:20001"]
