@@ -130,7 +130,7 @@ class JobService:
 
     def _named(self, paths: Iterable[str], programs: Programs) -> dict[str, str] | None:
         """Return the names of files in records of observed runs; None if such records leave out one of them."""
-        from sierra.worker.file_trace import Names
+        from sierra.worker.file_names import Names
 
         names = Names(self._folders(programs))
         return None if any(map(names.left_out, paths)) else {path: recorded_name(names.name(path)) for path in paths}

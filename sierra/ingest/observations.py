@@ -19,7 +19,7 @@ WRITTEN = "written"
 
 
 class _Observed(TypedDict):
-    """The worker's file: see `sierra.worker.file_trace.as_record`."""
+    """The worker's file: see `sierra.worker.observed_record.as_record`."""
 
     method: str
     reason: str | None

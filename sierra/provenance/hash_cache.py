@@ -41,22 +41,22 @@ class HashCache:
     def counted(self, path: str) -> str:
         """Return the SHA-256 of what counts of a file: in a virtual environment of Python, the environment's path does not.
 
-        It is that of the content for all other files: see `sierra.worker.file_trace.counted`. Raises Missing.
+        It is that of the content for all other files: see `sierra.worker.python_files.counted`. Raises Missing.
         """
         if not self._is_in_environment(os.path.dirname(path)):  # noqa: PTH120 - for speed
             return self.of(path)
-        from sierra.worker import file_trace
+        from sierra.worker import python_files
 
-        hashed = functools.partial(file_trace.sha256_of, environments=file_trace.Environments())
-        return _or_missing(path, hashed) if file_trace.is_record(path) else self._known_or(path, hashed)
+        hashed = functools.partial(python_files.sha256_of, environments=python_files.Environments())
+        return _or_missing(path, hashed) if python_files.is_record(path) else self._known_or(path, hashed)
 
     def counted_before(self, path: str) -> str:
         """Return the SHA-256 that earlier versions of SIERRA recorded for a file of a virtual environment. Raises Missing."""
         if not self._is_in_environment(os.path.dirname(path)):  # noqa: PTH120 - for speed
             return self.of(path)
-        from sierra.worker import file_trace
+        from sierra.worker import python_files
 
-        return _or_missing(path, lambda there: file_trace.sha256_of(there, file_trace.Environments(), former=True))
+        return _or_missing(path, lambda there: python_files.sha256_of(there, python_files.Environments(), former=True))
 
     def _is_in_environment(self, folder: str) -> bool:
         if folder not in self._folders:

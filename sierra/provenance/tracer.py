@@ -32,7 +32,7 @@ def usable() -> str | None:
     except OSError:
         return None
     if cache.get(key) is None:
-        from sierra.worker.file_trace import Strace  # only now, because it takes 5 ms to import
+        from sierra.worker.observers import Strace  # only now, because it takes 5 ms to import
 
         if Strace(program).trouble() is not None:
             return None

@@ -67,9 +67,9 @@ def _machine() -> Iterator[Check]:
 
 def _observation() -> Check:
     """Return how the files that runs use can be observed here."""
-    from sierra.worker import file_trace
+    from sierra.worker.observers import usable
 
-    way, reasons = file_trace.usable()
+    way, reasons = usable()
     if way and not reasons:
         return Check("observation of files", "ok", f"all files that runs use, by {way.name}")
     shown = "only files that are mapped into memory" if way else "not possible"

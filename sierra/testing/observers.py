@@ -25,8 +25,8 @@ from pathlib import Path
 
 from sierra.testing.assertions import holds, is_one_line, wait
 from sierra.util.lazy_definitions import dataclass
-from sierra.worker import file_trace
-from sierra.worker.file_trace import LISTS, Contents, Observation, Trace, Way
+from sierra.worker.file_contents import Contents, contents
+from sierra.worker.file_trace import LISTS, Observation, Trace, Way
 from sierra.worker.processes import all_processes, state_of
 
 PATIENCE_S = 30.0
@@ -101,8 +101,8 @@ class Trial:
                 process.wait(SOON_S)
         observation.end()
         trace = observation.trace(str(folder / "stderr"))
-        contents = file_trace.contents(trace, observation.began)
-        return Seen(status, (folder / "stdout").read_bytes(), (folder / "stderr").read_bytes(), trace, contents)
+        known = contents(trace, observation.began)
+        return Seen(status, (folder / "stdout").read_bytes(), (folder / "stderr").read_bytes(), trace, known)
 
     def script(self, folder: Path, text: str, *words: str, meanwhile: Callable[[Observation, int], None] | None = None) -> Seen:
         """Observe a Python program; its first argument is the file that it waits for."""

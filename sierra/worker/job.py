@@ -54,7 +54,7 @@ class Job(Program):
     used: NotRequired[int | None]
     seal: NotRequired[str]
     observe: NotRequired[Mapping[str, str]]
-    """The folders by which observed files are named, if this run is observed: see `file_trace.Names`."""
+    """The folders by which observed files are named, if this run is observed: see `file_names.Names`."""
     beside: NotRequired[str]
     """A folder whose files lie beside the input files; the runs of a session share it."""
     folders: NotRequired[Mapping[str, str]]

@@ -1,6 +1,6 @@
 """Observation of runs: which are observed, at which cost, and the record of what they did with files.
 
-`file_trace` is loaded only when a run is observed, because that takes longer than all else that a worker loads.
+The modules of the tracer are loaded only when a run is observed, because that takes longer than all else that a worker loads.
 """
 
 from __future__ import annotations
@@ -22,7 +22,9 @@ from sierra.worker.shared_services import SharedServices, own_ports, with_reason
 from sierra.worker.temporary_folders import Temporary
 
 if TYPE_CHECKING:
-    from sierra.worker.file_trace import Contents, Hashed, Names, Observation, Trace, Way
+    from sierra.worker.file_contents import Contents, Hashed
+    from sierra.worker.file_names import Names
+    from sierra.worker.file_trace import Observation, Trace, Way
 
 TRACED_S = 0.004  # by which a run takes longer under a tracer,
 BYTE_S = 1e-6  # and for each byte of the log: 0.1 ms a call
@@ -96,9 +98,9 @@ class Observations:
         """
         if "compares" in job or "budget" in job:
             return
-        from sierra.worker import file_trace
+        from sierra.worker.channels import is_doubtful
 
-        talks = file_trace.is_doubtful(trace.channels)
+        talks = is_doubtful(trace.channels)
         if talks or trace.reread or trace.reread_new:
             with self.lock:
                 self.requests[ANY] = {**job, "again": talks}
@@ -121,10 +123,10 @@ class Observations:
         if "observe" not in job or "client" in job or not self.account.allows(job.get("budget"), job.get("affordable")):
             return None
         began = time.monotonic()
-        from sierra.worker import file_trace
+        from sierra.worker.observers import gentle
 
         with self.looking:
-            way, self.unusable = file_trace.gentle() if job.get("waits") else self.way(job.get("helps"))
+            way, self.unusable = gentle() if job.get("waits") else self.way(job.get("helps"))
         own = [self.temporary.places[folder]] if folder in self.temporary.places else []
         observation = way.begin(folder + TRACE, os.path.join(folder, "output"), own) if way else None
         self.account.charge(time.monotonic() - began, sampled="budget" in job)
@@ -132,13 +134,13 @@ class Observations:
 
     def way(self, helps: Helps | None) -> tuple[Way | None, tuple[str, ...]]:
         """Return the best way to observe runs here, and why others cannot be used. No tracer is tried that is known to work."""
-        from sierra.worker import file_trace
+        from sierra.worker.observers import Strace, usable
 
         if helps is not None:
             self.hashes.learn(helps["digests"])
             if helps["tracer"] is not None and self.trusts:
-                return file_trace.Strace(helps["tracer"]), ()
-        return file_trace.usable()
+                return Strace(helps["tracer"]), ()
+        return usable()
 
     def keep(self, job: Job, running: Running, services: SharedServices | None = None) -> tuple[bool, str | None]:
         """Write what a run did with files to its folder.
@@ -147,7 +149,9 @@ class Observations:
         """
         if running.observation is None:
             return "unobserved" in job and keep_reason(running.folder, job["unobserved"]), None
-        from sierra.worker import file_trace
+        from sierra.worker.channels import with_channels
+        from sierra.worker.file_names import Names
+        from sierra.worker.observed_record import as_record, uses_gpu, with_services
 
         began = time.monotonic()
         running.observation.end(orphans)
@@ -159,8 +163,8 @@ class Observations:
             disturbed = trace.disturbed
             shared = services.seen() if services else None
             theirs = {name for name, _ in shared.channels} if shared else ()
-            trace = file_trace.with_channels(trace, own_ports(job, running.folder, services), theirs, job["environment"])
-            names = file_trace.Names({"work": self.folder, **job["observe"], "run": running.folder, **own_folders(running)})
+            trace = with_channels(trace, own_ports(job, running.folder, services), theirs, job["environment"])
+            names = Names({"work": self.folder, **job["observe"], "run": running.folder, **own_folders(running)})
             seen = names.inputs(trace._replace(reasons=(*trace.reasons, *self.unusable)))
             self.compare(job, seen)
             with self.looking:
@@ -170,10 +174,10 @@ class Observations:
                 if services and services.observation and shared:
                     used = names.inputs(shared)
                     own = self.contents(job, used, names, services.observation.began)
-                    seen, contents = file_trace.with_services(seen, contents, used, own)
+                    seen, contents = with_services(seen, contents, used, own)
                 digests = self.hashes.news()
-            gpu = any(file_trace.uses_gpu(one) for one in (trace, shared) if one)
-            record = file_trace.as_record(seen, contents, names, gpu=gpu)
+            gpu = any(uses_gpu(whole) for whole in (trace, shared) if whole)
+            record = as_record(seen, contents, names, gpu=gpu)
             record["digests"] = digests
             unlink(path)  # a link or a pipe that the run has put there
             with open(path, "x", encoding="ascii") as file:
@@ -189,10 +193,10 @@ class Observations:
 
     def contents(self, job: Job, trace: Trace, names: Names, began: int) -> Contents:
         """Return the contents of the files in a trace, which began at this time."""
-        from sierra.worker import file_trace
+        from sierra.worker.file_contents import contents
 
         since = began - int(job.get("ahead", 0.0) * 1e9)
-        return file_trace.contents(trace, since, self.hashes.get, self.check_stop, names.is_listed)
+        return contents(trace, since, self.hashes.get, self.check_stop, names.is_listed)
 
 
 class Account:
@@ -246,7 +250,7 @@ class Hashes:
         state = [status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns]
         key = (path, *state)
         if key not in self._known:
-            shared = not path.endswith("/RECORD")  # of which not all bytes count: see `file_trace.counted`
+            shared = not path.endswith("/RECORD")  # of which not all bytes count: see `python_files.counted`
             learnt = (self._learnt or {}).get(path) if shared else None
             if isinstance(learnt, list) and learnt[:-1] == state and isinstance(learnt[-1], str):
                 self._known[key] = learnt[-1]

@@ -13,7 +13,7 @@ from sierra.util.fs import unescaped
 from sierra.util.lazy_definitions import dataclass
 
 GPU = "{gpu}"
-"""The name of the graphics processors among observed files: see `sierra.worker.file_trace`."""
+"""The name of the graphics processors among observed files: see `sierra.worker.observed_record`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,9 +44,9 @@ def is_same(here: str, use: str, sha256: str | None, named: Mapping[str, Path], 
     if use == "missed":
         return not os.path.exists(here)  # noqa: PTH110 - for speed
     if use == "found":
-        from sierra.worker import file_trace
+        from sierra.worker.file_contents import sha256_of_kind
 
-        return file_trace.sha256_of_kind(here) == sha256
+        return sha256_of_kind(here) == sha256
     if sha256 is None:
         return not os.access(here, os.R_OK)  # it could not be read when it was used, or it was changed then
     if use in ("linked", "link"):
@@ -54,9 +54,9 @@ def is_same(here: str, use: str, sha256: str | None, named: Mapping[str, Path], 
     if use == "link":
         return hashlib.sha256(os.fsencode(name_of(here, named))).hexdigest() == sha256
     if here == GPU:
-        from sierra.worker import file_trace
+        from sierra.worker.observed_record import graphics_sha256
 
-        return file_trace.graphics_sha256() == sha256
+        return graphics_sha256() == sha256
     try:
         return os.path.isfile(here) and sha256 in _counted(here, cache)  # noqa: PTH113 - for speed
     except Missing:

@@ -29,7 +29,7 @@ Use = Literal["executed", "read", "found", "missed", "listed", "linked", "link"]
 
 
 class _Observed(BaseModel):
-    """The parts of a worker's record that count: see `sierra.worker.file_trace.as_record`."""
+    """The parts of a worker's record that count: see `sierra.worker.observed_record.as_record`."""
 
     method: Text
     reason: Text | None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import os
 import shutil
 import subprocess
@@ -12,9 +11,11 @@ from pathlib import Path
 import pytest
 
 from sierra.testing.observers import Seen, Trial
-from sierra.worker import file_trace
-from sierra.worker.file_trace import Strace
+from sierra.worker import trace_log
+from sierra.worker.file_trace import Observation
+from sierra.worker.observers import Strace
 from sierra.worker.processes import all_processes
+from tests.strace_logs import read
 from tests.users import User, a_user, called_as
 
 HEAD = """
@@ -279,7 +280,7 @@ def test_a_killed_tracer_makes_calls_fail_and_the_run_disturbed(bench: Bench) ->
         } return 0; }"""
     program = bench.compile(text)
 
-    def kill(observation: file_trace.Observation, pid: int) -> None:
+    def kill(observation: Observation, pid: int) -> None:
         for one in [one for one in all_processes() if observation.is_tracer(one)]:
             os.kill(one, 9)
 
@@ -306,7 +307,7 @@ def test_a_full_disk_makes_the_run_disturbed(bench: Bench, disk: Callable[[Path,
 
 @pytest.mark.nightly
 def test_a_log_that_grows_too_long_is_cut_off_without_disturbing(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(file_trace, "LOG_BYTES", 10_000)
+    monkeypatch.setattr(trace_log, "LOG_BYTES", 10_000)
     body = """
     for (int i = 0; i < 500; i++) close(open("/etc/passwd", 0));
     puts("ready"); fflush(stdout);
@@ -315,7 +316,7 @@ def test_a_log_that_grows_too_long_is_cut_off_without_disturbing(bench: Bench, m
     log = bench.place.with_suffix(".log")
     sizes: list[int] = []
 
-    def cut(observation: file_trace.Observation, pid: int) -> None:
+    def cut(observation: Observation, pid: int) -> None:
         sizes.append(log.stat().st_size)
         observation.limit()
 
@@ -361,5 +362,5 @@ def test_a_real_log_that_is_cut_anywhere_is_never_complete(bench: Bench) -> None
     assert bench.main(body).trace.complete
     log = bench.place.with_suffix(".log").read_bytes()
     for size in range(len(log)):
-        assert not file_trace.parsed(io.BytesIO(log[:size]), str(bench.place)).complete
-    assert file_trace.parsed(io.BytesIO(log), str(bench.place)).complete
+        assert not read(log[:size], str(bench.place)).complete
+    assert read(log, str(bench.place)).complete

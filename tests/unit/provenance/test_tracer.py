@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from sierra.provenance import tracer
-from sierra.worker import file_trace
+from sierra.worker import observers
 
 
 @pytest.fixture
@@ -26,7 +26,7 @@ def strace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, require: Callable[..
 
 def usable() -> str | None:
     """Return the tracer that a new process finds."""
-    file_trace.trouble_of.cache_clear()
+    observers.trouble_of.cache_clear()
     return tracer.usable()
 
 

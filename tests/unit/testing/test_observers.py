@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from sierra.testing import observers as conformance
-from sierra.worker.file_trace import LISTS, Maps, Observation, Strace, Trace, Way
+from sierra.worker.file_trace import LISTS, Observation, Trace, Way
+from sierra.worker.observers import Maps, Strace
 from tests.users import a_user, called_as
 
 CLAIMS = [pytest.param(claim, id=claim.__name__) for claim in conformance.CLAIMS]

@@ -11,7 +11,7 @@ import pytest
 
 from sierra.execution.observation.file_sets import UsedFile
 from sierra.execution.observation.stale_sessions import reason
-from sierra.worker.file_trace import graphics
+from sierra.worker.observed_record import graphics
 from tests import projects
 
 SIMULATOR = """\
@@ -151,7 +151,7 @@ def test_runs_that_use_a_gpu_depend_on_it_and_its_driver(root: Path, monkeypatch
     assert projects.run(root, QUERY)[0]["executed"] == 4
     assert projects.sql(root, "SELECT count(*) AS n FROM files_read WHERE path = '{gpu}'") == [{"n": 1}]
     assert projects.run(root, QUERY)[0]["executed"] == 0
-    monkeypatch.setattr("sierra.worker.file_trace.graphics", lambda root="/": ["another driver"])
+    monkeypatch.setattr("sierra.worker.observed_record.graphics", lambda root="/": ["another driver"])
     summary, said = projects.run(root, QUERY)
     assert summary["executed"] == 4
     assert "files that they used have changed: {gpu}" in said
