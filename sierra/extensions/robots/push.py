@@ -8,6 +8,7 @@ import tempfile
 from pathlib import Path
 
 from sierra.errors import Missing
+from sierra.extensions.robots import agent
 from sierra.runners.links.base import Link, Unreachable
 from sierra.util import worker_zip
 from sierra.worker import program
@@ -55,5 +56,5 @@ def push_content(link: Link, folder: Path, root: str, kind: str, name: str | Non
 def push_programs(link: Link, root: str) -> str:
     """Copy the programs that execute runs to a robot; return their folder there."""
     with tempfile.TemporaryDirectory(prefix="sierra-") as made:
-        Path(made, program.NAME).write_bytes(worker_zip.packed())
+        Path(made, program.NAME).write_bytes(worker_zip.packed(Path(agent.__file__).parent))
         return push_content(link, Path(made), root, "programs")

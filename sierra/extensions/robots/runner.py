@@ -26,6 +26,7 @@ from sierra.containers.engines.hosts import OtherHost
 from sierra.containers.on_hosts import HostContainer
 from sierra.errors import ConfigError, Missing, SierraError
 from sierra.extensions.robots import agent_start, fitting, results
+from sierra.extensions.robots.agent.software import Software
 from sierra.extensions.robots.agent_link import AgentLink
 from sierra.extensions.robots.agent_messages import Record, as_report
 from sierra.extensions.robots.engine_errors import classify
@@ -47,7 +48,6 @@ from sierra.util.processors import name_of
 from sierra.worker import journal
 from sierra.worker.job import Job as JobRecord
 from sierra.worker.journal import Event
-from sierra.worker.robot_software import Software
 
 log = Log(__name__)
 SESSION_S = 10.0

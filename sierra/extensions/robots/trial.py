@@ -21,11 +21,11 @@ from typing import TypeVar
 
 from sierra.errors import Missing, SierraError
 from sierra.extensions.hosts.clock import Clock
+from sierra.extensions.robots.agent.clock_watch import ClockWatch, Course
 from sierra.extensions.robots.agent_link import AgentLink, Refused
 from sierra.extensions.robots.agent_messages import Record, as_report
 from sierra.extensions.robots.fleet_table import FleetTable
 from sierra.runners.links.base import Unreachable
-from sierra.worker.clock_watch import ClockWatch, Course
 from sierra.worker.job import Job
 from sierra.worker.journal import End
 from sierra.worker.running import START_S

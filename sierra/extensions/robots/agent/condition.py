@@ -10,9 +10,9 @@ import shutil
 import subprocess
 from typing import Any, Callable, Dict, Mapping, Sequence
 
+from sierra.extensions.robots.agent.topic_rates import shortfall
 from sierra.worker.errors import explain
 from sierra.worker.outputs import describe
-from sierra.worker.topic_rates import shortfall
 
 Record = Dict[str, Any]
 
