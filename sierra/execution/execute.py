@@ -62,7 +62,7 @@ def _execute(plan: Plan, store: Store, options: RunOptions, began: datetime) -> 
     plan = versioned(plan)
     if session_step(plan.project):
         options = replace(options, slots=1)
-    make = partial(runners.find(options.runner, plan.project.config.runner_tables), options.slots)
+    make = partial(runners.find(options.runner, plan.project.config.runners), options.slots)
     on_robots.check_fleet(make(), options.runner, plan)
     session = Session(store.paths, None if make().stays else plan.project.config.store.place())
     try:

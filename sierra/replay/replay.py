@@ -82,7 +82,7 @@ def unrecorded(
     """
     if options.keep:
         raise UsageError("--keep keeps folders in the store; remove --no-record")
-    if runners.find(options.runner, project.config.runner_tables)(options.slots).stays:
+    if runners.find(options.runner, project.config.runners)(options.slots).stays:
         raise UsageError(f"runner {options.runner!r} needs the record to find its runs again; remove --no-record")
     found = store.resolve(prefix)
     project = targets.of_batch(project, store, found.batch or found.id)
@@ -110,7 +110,7 @@ class _Prepared:
         engines = self.project.config.engines
         self.engine = plan_from_record.engine(store, record.of.batch, self.spec, options.engine, engines, hosted=True)
         self.image = options.image or plan_from_record.image(self.project, store, self.spec)
-        self.runner = runners.find(options.runner, self.project.config.runner_tables)(options.slots)
+        self.runner = runners.find(options.runner, self.project.config.runners)(options.slots)
         if self.takes_robots:
             self._check_robots()
 

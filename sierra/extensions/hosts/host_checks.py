@@ -97,7 +97,7 @@ def _project() -> Project | None:
 
 
 def _hosts(project: Project | None, names: Sequence[str], link: str | None) -> list[HostToCheck]:
-    for name, table in project.runner_tables.items() if project else ():
+    for name, table in project.runners.items() if project else ():
         if extensions.absent("runners", name) and "scheduler" not in table:
             raise ConfigError(RUNNERS.unknown(name))
     fleet: dict[str, HostToCheck] = {}

@@ -351,7 +351,8 @@ class Robots:
         return self._robots[name]
 
     def _link(self, name: str, options: RobotTable) -> Link:
-        link: Link = LINKS.make(self._table.link, {self._table.link: options.link_options}, options.host)
+        kind = self._table.link
+        link: Link = LINKS.make(kind, {kind: {**self._work.links.get(kind, {}), **options.link_options}}, options.host)
         return link
 
 
