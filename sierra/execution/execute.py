@@ -7,14 +7,16 @@ query executes only the runs without a successful execution.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
 from typing import TYPE_CHECKING
 
+from sierra.config import extensions
 from sierra.errors import Missing
-from sierra.execution import on_robots, recover, robot_notes, session_records
+from sierra.execution import members, recover, session_records
 from sierra.execution.observation import reusable_executions, shared_services, stale_sessions
 from sierra.execution.plan import Plan, context, session_step, versioned
 from sierra.execution.reasons import FAILED
@@ -47,7 +49,7 @@ def run(plan: Plan, store: Store, options: RunOptions) -> Summary:
             store,
             len({run.id for run in plan.batch.runs}),
             only=options.only,
-            notes=(*shared_services.note(plan, store), *_robot_notes(plan, store)),
+            notes=(*shared_services.note(plan, store), *_member_notes(plan, store)),
         )
         return with_outcomes(plan, store, summary)
     return _execute(plan, store, options, began)
@@ -63,7 +65,7 @@ def _execute(plan: Plan, store: Store, options: RunOptions, began: datetime) -> 
     if session_step(plan.project):
         options = replace(options, slots=1)
     make = partial(runners.find(options.runner, plan.project.config.runners), options.slots)
-    on_robots.check_fleet(make(), options.runner, plan)
+    members.check_fleet(make(), options.runner, plan)
     session = Session(store.paths, None if make().stays else plan.project.config.store.place())
     try:
         session.take_number()
@@ -122,9 +124,10 @@ def check_packages(plan: Plan) -> None:
         )
 
 
-def _robot_notes(plan: Plan, store: Store) -> tuple[str, ...]:
-    """Return notes about the robots of a batch."""
-    return tuple(robot_notes.notes(store, plan.batch.id)) if plan.batch.spec.robots is not None else ()
+def _member_notes(plan: Plan, store: Store) -> Iterator[str]:
+    """Yield what extensions note about the members of a batch's runs."""
+    if plan.batch.spec.robots is not None:
+        yield from itertools.chain(*extensions.called("member_notes", store, plan.batch.id))
 
 
 def _sum_up(executor: Executor) -> Summary:
@@ -153,7 +156,7 @@ def _sum_up(executor: Executor) -> Summary:
         tried={run for run, state in now.items() if state.worth == FAILED} | failed,
         interrupted=executor.interrupted,
         detached=tuple(paths.root.name for paths in executor.left),
-        notes=(*executor.notes, *given_up, *reused, *_robot_notes(plan, store)),
+        notes=(*executor.notes, *given_up, *reused, *_member_notes(plan, store)),
         only=only,
     )
 

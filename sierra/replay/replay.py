@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from sierra import runners
+from sierra.config import extensions
 from sierra.config.output_tables import Output
 from sierra.config.project_file import LoadedProject
 from sierra.containers.images.image import here
@@ -22,8 +23,8 @@ from sierra.errors import Missing, UsageError
 from sierra.execution import commands, expected_durations, plan_from_record, recover, session_records, targets
 from sierra.execution.build.recorded import Rebuilt, rebuild
 from sierra.execution.checkout import Checkout
+from sierra.execution.members import configured
 from sierra.execution.observer import Observer, Relay, Tally
-from sierra.execution.on_robots import configured
 from sierra.execution.run_jobs import Service, Setup
 from sierra.execution.sessions import Session
 from sierra.ingest.recording_context import Context
@@ -31,7 +32,7 @@ from sierra.model import Status
 from sierra.provenance import environment, reported_versions
 from sierra.provenance.change_guard import guard
 from sierra.provenance.dependency_model import Programs
-from sierra.replay import find_record, on_robots
+from sierra.replay import find_record, members
 from sierra.replay.compare_host import other_machine, other_programs, unlike_image, used_files
 from sierra.replay.find_record import Record
 from sierra.replay.judge_experiments import compare_runs, judge, recorded_metrics
@@ -117,11 +118,11 @@ class _Prepared:
     def _check_robots(self) -> None:
         config, id = self.project.config, self.record.found.id
         inputs = (files for _, files in find_record.inputs(self.record, self.record.runs, self.store))
-        on_robots.check(self.runner, self.options.runner, id, inputs, self.project.robot_groups)
+        members.check(self.runner, self.options.runner, id, inputs, self.project.robot_groups)
         if not self.options.unattended:
-            on_robots.check_attended(id, self.project)
+            members.check_attended(id, self.project)
         runs = [one.run for one in self.record.runs]
-        self.record.notes.append(on_robots.note(self.store, runs, judged=bool(config.equivalence)))
+        self.record.notes += extensions.called("replay_notes", self.store, runs, bool(config.equivalence))
 
 
 @dataclass(frozen=True, slots=True)
@@ -318,7 +319,7 @@ class _Replaying:
         before = len(record.notes)
         if of.takes_robots:
             recorded = [str(one.execution) for one in record.runs]
-            record.notes += on_robots.other_processors(self._store, recorded, list(executed.made.values()))
+            record.notes += members.other_processors(self._store, recorded, list(executed.made.values()))
         experiments = tuple(judge(of.project, self._store, record, compared, of.metrics, of.rules))
         self._say(record.notes[before:])
         return experiments

@@ -1,4 +1,4 @@
-"""The parts of a report about robots: which ones executed the runs, their clocks and containers, and which were lost."""
+"""The part of a report about robots: which ones executed the runs, their clocks and containers, and which were lost."""
 
 from __future__ import annotations
 
