@@ -174,7 +174,7 @@ def times_of(part: Part) -> Times | None:
     return Times(end["started"] - offset, end["ended"] - offset)
 
 
-def rows(trial: Trial, job: Job, table: Iterable[str] = ()) -> Iterator[tuple[str, Mapping[str, RecordValue]]]:
+def rows(trial: Trial, job: Job) -> Iterator[tuple[str, Mapping[str, RecordValue]]]:
     """Yield the rows of `robots` of a trial."""
     for part in trial.parts:
         facts = part.hello.get("facts", {})
@@ -218,14 +218,10 @@ def rows(trial: Trial, job: Job, table: Iterable[str] = ()) -> Iterator[tuple[st
 def _status(part: Part) -> str:
     if part.lost is not None:
         return "lost"
-    if (
-        part.failure
-        or part.moving
-        or not part.started
-        or (part.ended and part.ended["why"] and part.ended["why"].startswith("lost"))
-    ):
+    why = part.ended["why"] or "" if part.ended else ""
+    if part.failure or part.moving or not part.started or why.startswith("lost"):
         return "failed"
-    return "stopped" if part.ended and part.ended["why"] else "ok"
+    return "stopped" if why else "ok"
 
 
 def _remarks(part: Part, trial: Trial) -> str | None:

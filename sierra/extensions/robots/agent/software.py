@@ -34,7 +34,6 @@ LEFT_OUT = (".git", "__pycache__")
 MOST_FILES = 20_000
 LARGE = 16 << 20  # a larger file counts by its size and time, because hashing it takes too long before a run
 GIT_S = 10.0
-CHUNK = 1 << 20
 
 
 class Looker:
