@@ -109,15 +109,15 @@ class FleetTable(Table):
     def _is_consistent(self) -> Self:
         for key in ("host", "address"):
             robots: dict[str | None, list[str]] = {}
-            for name, one in self.fleet.items():
-                robots.setdefault(getattr(one, key), []).append(name)
+            for name, robot in self.fleet.items():
+                robots.setdefault(getattr(robot, key), []).append(name)
             if twice := [value for value, names in robots.items() if value is not None and len(names) > 1]:
                 raise ValueError(f"{' and '.join(robots[twice[0]])} have the same {key} {twice[0]!r}")
-        groups = {one.group for one in self.fleet.values()}
+        groups = {robot.group for robot in self.fleet.values()}
         if unknown := [name for name in self.use if name not in self.fleet and name not in groups]:
             known = ", ".join([*self.fleet, *sorted(groups)])
             raise ValueError(f"use: unknown robot or group {unknown[0]!r}; known are {known}")
-        if lacking := [name for name, one in self.fleet.items() if one.stop is None and self.stop is None]:
+        if lacking := [name for name, robot in self.fleet.items() if robot.stop is None and self.stop is None]:
             raise ValueError(f"{lacking[0]} has no stop command; give stop = [...], or stop = [] if it needs none")
         return self
 
@@ -149,11 +149,11 @@ def allocate(table: FleetTable, places: Sequence[tuple[int, str]]) -> dict[int, 
     A group that no robot names is taken by robots of the group `robot`. Raises ConfigError if there are too few of them.
     """
     free: dict[str, list[str]] = {}
-    for name, one in table.used().items():
-        free.setdefault(one.group, []).append(name)
+    for name, robot in table.used().items():
+        free.setdefault(robot.group, []).append(name)
     fleet = 'the fleet with its "use"' if table.use else "the fleet"
     have = {group: f"{fleet} has {len(names)}" for group, names in free.items()}
-    named = {one.group for one in table.fleet.values()} | {BASE}
+    named = {robot.group for robot in table.fleet.values()} | {BASE}
     sources = {place: group if group in named else ROBOT for place, group in places}
     taken: dict[int, str] = {}
     for place, source in sources.items():

@@ -97,15 +97,15 @@ def _first_failed(parts: Iterable[Part]) -> End | None:
 
 def failure(trial: Trial) -> str | None:
     """Return what happened to which robot, in one line; None if the run has ended well on all of them."""
-    found = [f"{part.name} {text}" for part in trial.parts if (text := _trouble(part, trial))]
+    troubles = [f"{part.name} {text}" for part in trial.parts if (text := _trouble(part, trial))]
     if own := clock_changes.failure_here(trial.course, trial.table.clock_drift):
-        found.append(f"this machine {own}")
-    if not found and trial.stopped not in (None, OVER, STOPPED):
-        found = [str(trial.stopped)]
-    elif found and trial.stopped not in (None, OVER, STOPPED) and len(trial.parts) > 1:
-        found.append("the others were stopped")
-    found += [f"{part.name} {text}" for part in trial.parts if (text := _cut(part, trial))]
-    return "; ".join(found) or None
+        troubles.append(f"this machine {own}")
+    if not troubles and trial.stopped not in (None, OVER, STOPPED):
+        troubles = [str(trial.stopped)]
+    elif troubles and trial.stopped not in (None, OVER, STOPPED) and len(trial.parts) > 1:
+        troubles.append("the others were stopped")
+    troubles += [f"{part.name} {text}" for part in trial.parts if (text := _cut(part, trial))]
+    return "; ".join(troubles) or None
 
 
 def _trouble(part: Part, trial: Trial) -> str | None:
@@ -115,8 +115,8 @@ def _trouble(part: Part, trial: Trial) -> str | None:
     if part.failure:
         return f"has failed: {part.failure}"
     if not part.started or part.end is None:
-        found = part.ended or {}
-        return f"has not begun its program: {(*found.get('problems', ()), found.get('why') or part.problem)[0]}"
+        report = part.ended or {}
+        return f"has not begun its program: {(*report.get('problems', ()), report.get('why') or part.problem)[0]}"
     if part.moving:
         return f"may be moving: {part.moving}"
     if part.ended and part.ended["why"] and part.ended["why"].startswith("lost the driver"):

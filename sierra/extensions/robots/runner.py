@@ -103,7 +103,7 @@ class Robots:
             raise ConfigError(NO_FLEET)
         jobs = list(work.jobs)
         for job in jobs:
-            allocate(self._table, [(one.place, one.group) for one in job.members])
+            allocate(self._table, [(member.place, member.group) for member in job.members])
         self._journal = Journal(session.journal)
         self._journal.skip()
         session.runs.mkdir(parents=True, exist_ok=True)
@@ -141,6 +141,7 @@ class Robots:
     def look(self) -> Look:
         alive = self._thread is not None and self._thread.is_alive()
         trial = self._trial
+        parts = trial.parts if trial else []
         events, more = self._journal.some()
         notes = tuple(self._notes.get() for _ in range(self._notes.qsize()))
         wrong = None
@@ -156,7 +157,7 @@ class Robots:
             rows=tuple((event.table, event.row) for event in events if isinstance(event, Row)),
             notes=notes,
             wrong=wrong,
-            beats=tuple(Beat(one.name, one.agent.silence, one.before.get("battery")) for one in trial.parts) if trial else (),
+            beats=tuple(Beat(part.name, part.agent.silence, part.before.get("battery")) for part in parts),
             ready=trial is not None and trial.waits,
             stopping=trial is not None and trial.stopped is not None,
             collecting=trial is not None and trial.over,
@@ -210,17 +211,17 @@ class Robots:
     def _try(self, job: Job, lead: float) -> None:
         """Execute one run as `_run` does, once. `lead` is as in `Trial.execute`. Raises SierraError."""
         self._check_room()
-        taken = allocate(self._table, [(one.place, one.group) for one in job.members])
+        taken = allocate(self._table, [(member.place, member.group) for member in job.members])
         robots = {place: self._robot(name) for place, name in taken.items()}
         each(Robot.connect, robots.values())
         each(Robot.examine, robots.values())
         each(Robot.supply, robots.values())
         if self._stopped is not None:
             return
-        fitting.check_addresses({one.name: one.address for one in robots.values()})
-        fitting.check_time_zones({one.name: one.hello for one in robots.values()})
-        addresses = {f"SIERRA_ADDRESS_{place}": one.address for place, one in robots.items() if one.address}
-        parts = [self._part(job, one, robots[one.place], addresses) for one in job.members]
+        fitting.check_addresses({robot.name: robot.address for robot in robots.values()})
+        fitting.check_time_zones({robot.name: robot.hello for robot in robots.values()})
+        addresses = {f"SIERRA_ADDRESS_{place}": robot.address for place, robot in robots.items() if robot.address}
+        parts = [self._part(job, member, robots[member.place], addresses) for member in job.members]
         attempt = f"{job.execution[:16]}-{secrets.token_hex(4)}"
         trial = Trial(
             attempt,

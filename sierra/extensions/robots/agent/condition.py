@@ -42,15 +42,15 @@ class Condition:
 
     def read(self, **sources: Callable[[], object]) -> Record:
         """Return values by name, and `unread`: why some of them are missing, by name."""
-        found: Record = {"unread": {}}
+        values: Record = {"unread": {}}
         for name, source in sources.items():
             try:
-                found[name] = source()
+                values[name] = source()
             except OSError as error:
-                found[name], found["unread"][name] = None, explain(error)
+                values[name], values["unread"][name] = None, explain(error)
             except ValueError as error:
-                found[name], found["unread"][name] = None, str(error)
-        return found
+                values[name], values["unread"][name] = None, str(error)
+        return values
 
     def failed_checks(self) -> list[str]:
         """Execute all checks at once, because each may wait for something; return a line for each one that has failed."""

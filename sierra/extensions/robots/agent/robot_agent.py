@@ -65,7 +65,7 @@ from sierra.extensions.robots.agent.leftovers import ENDED, Guard, end_leftovers
 from sierra.extensions.robots.agent.lock import Lock
 from sierra.extensions.robots.agent.processes import LOOK_S, Forked, boot_id, keep_open
 from sierra.extensions.robots.agent.records import Record, Refused, write_whole
-from sierra.extensions.robots.agent.run import WORKER, Run, Serving, become_worker
+from sierra.extensions.robots.agent.run import WORKER, Run, WorkerProcess, become_worker
 from sierra.extensions.robots.agent.software import Looker
 from sierra.extensions.robots.agent.standstill import STOP_S, Standstill
 from sierra.worker import machine, on_host, remote_folder
@@ -120,7 +120,7 @@ class Agent:
         self.looker = Looker()
         self.watch = ClockWatch()
         self.run: Run | None = None
-        self.spare: Serving | None = None
+        self.spare: WorkerProcess | None = None
         self.sending: tuple[int, Sending] | None = None
         """The folder that is sent, with the number of its request."""
         self.heard = time.monotonic()
@@ -297,15 +297,15 @@ class Agent:
 
     def check(self, request: Record) -> Record:
         """Measure battery (percent) and disk (bytes). Before a run, also describe the robot, and execute the checks."""
-        found: Record = {"event": "checked", "failed": [], **self.condition.measured(self.folder)}
+        answer: Record = {"event": "checked", "failed": [], **self.condition.measured(self.folder)}
         if request.get("checks", True):
             described = self.condition.described()
-            found = {**found, **described, "unread": {**found["unread"], **described["unread"]}}
-            found["software"] = self.looker.news(self.environment)
+            answer = {**answer, **described, "unread": {**answer["unread"], **described["unread"]}}
+            answer["software"] = self.looker.news(self.environment)
         for path, state in request.get("unchanged", {}).items():
             if on_host.state(path)[1:] != state:
-                found["failed"].append("%s has changed since it was verified" % path)
-        return found
+                answer["failed"].append("%s has changed since it was verified" % path)
+        return answer
 
     def begin_watch(self, _: Record) -> Record:
         self.watch = ClockWatch()
@@ -345,14 +345,14 @@ class Agent:
             self.spare.end()  # it has the variables of an earlier setup line
         self.spare = None
         with contextlib.suppress(OSError):  # it is tried again for the run
-            self.spare = Serving(self.environment)
+            self.spare = WorkerProcess(self.environment)
 
-    def take_worker(self) -> Serving:
+    def take_worker(self) -> WorkerProcess:
         """Return a worker that waits for its folder. Raises OSError."""
         worker, self.spare = self.spare, None
-        return worker if worker is not None and worker.is_alive() else Serving(self.environment)
+        return worker if worker is not None and worker.is_alive() else WorkerProcess(self.environment)
 
-    def keep_worker(self, worker: Serving) -> None:
+    def keep_worker(self, worker: WorkerProcess) -> None:
         """Use a worker for the next run, too, unless it has ended with its last one."""
         if worker.is_alive():
             self.spare = worker

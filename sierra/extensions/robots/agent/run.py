@@ -41,7 +41,7 @@ MOST_STOPS = 5  # when no process is left: one execution, and more if it leaves 
 HANG_S = 1.0  # for killed processes to be gone, before the stop command is executed nevertheless
 
 
-class Serving:
+class WorkerProcess:
     """A worker as a process, which executes one run after the other until one of them has to be ended."""
 
     def __init__(self, environment: Mapping[str, str]) -> None:
@@ -112,7 +112,7 @@ class Run:
         self,
         folder: str,
         order: Record,
-        worker: Serving,
+        worker: WorkerProcess,
         standstill: Standstill,
         grace: float,
         spared: Collection[int] = (),
