@@ -482,7 +482,7 @@ class Project:
         from sierra import runners
         from sierra.execution.plan import session_step
 
-        name, tables = runner or plan.project.config.runner, plan.project.config.runner_tables
+        name, tables = runner or plan.project.config.runner, plan.project.config.runners
         stays = runners.find(name, tables)(1).stays
         if not stays and detach:
             raise UsageError(

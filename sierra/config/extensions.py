@@ -75,6 +75,9 @@ ADDS: Mapping[str, Mapping[str, Mapping[str, str]]] = {
         "needs": {"hosts": ""},
         "runners": {"robots": "runner:Robots"},
         "fleets": {"robots": "fleet_checks:of_fleet"},
+        "member_lines": {"robots": "report_part:lines"},
+        "member_notes": {"robots": "notes:of_batch"},
+        "replay_notes": {"robots": "notes:of_replay"},
         "examples": {"robots": "examples/robots"},
     },
     "ros": {
@@ -123,7 +126,9 @@ ADDS: Mapping[str, Mapping[str, Mapping[str, str]]] = {
 `former` are former names of commands. `pictures` are formats of outputs whose files have pictures for videos, each with the
 function that writes these. `sessions` are steps of sessions (see `sierra.execution.session_steps`): a function that returns the
 step for the content of a `sierra.toml`, or None. `report_sections` are functions that return a section about a batch in
-reports, or None. `fleets` are functions that return the hosts of a runner, for `sierra doctor --hosts`. Seven kinds are data.
+reports, or None. `fleets` are functions that return the hosts of a runner, for `sierra doctor --hosts`. Of members of runs,
+`member_lines` yields elements for reports on a batch, `member_notes` notes on it, and `replay_notes` returns one on a replay of
+runs. Seven kinds are data.
 `sections` are those of `sierra --help`, for commands. `inputs` are endings of input files, with the format of their templates.
 `starts` are endings of those whose platform starts the simulator itself, with its name. `variables` are recorded with the
 environment; `libraries` are search paths of libraries. `examples` are projects for `sierra init --example`, with their folders.
@@ -148,9 +153,9 @@ def load(kind: str, name: str) -> Any:
     return getattr(import_module(module), attribute)
 
 
-def called(kind: str, subject: object) -> Iterator[Any]:
+def called(kind: str, *subject: object) -> Iterator[Any]:
     """Yield what the functions of a kind return for a subject, but for None."""
-    yield from filter(None, (load(kind, name)(subject) for name in added(kind)))
+    yield from filter(None, (load(kind, name)(*subject) for name in added(kind)))
 
 
 @cache

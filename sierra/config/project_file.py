@@ -272,16 +272,6 @@ class Project(Table):
     )
 
     @property
-    def runner_tables(self) -> Mapping[str, RawTable]:
-        """Return the tables of all runners, that of `robots` with the options of its link, as `[links.NAME]` has them."""
-        robots = self.runners.get("robots")
-        own = robots.get("link_options", {}) if robots is not None else None
-        if robots is None or not isinstance(own, Mapping) or "scheduler" in robots:
-            return self.runners
-        options = {**self.links.get(str(robots.get("link", "fabric")), {}), **own}
-        return {**self.runners, "robots": {**robots, "link_options": options}}
-
-    @property
     def template_paths(self) -> tuple[str, ...]:
         """Return the paths of all templates; `templates` has paths in the project only."""
         return (self.template,) if self.template is not None else tuple(self.templates.values())

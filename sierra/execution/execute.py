@@ -7,14 +7,16 @@ query executes only the runs without a successful execution.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import itertools
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
 from typing import TYPE_CHECKING
 
+from sierra.config import extensions
 from sierra.errors import Missing
-from sierra.execution import on_robots, recover, robot_notes, session_records
+from sierra.execution import members, recover, session_records
 from sierra.execution.observation import reusable_executions, stale_sessions
 from sierra.execution.plan import Plan, context, session_step, versioned
 from sierra.execution.reasons import FAILED
@@ -52,8 +54,8 @@ def run(plan: Plan, store: Store, options: RunOptions) -> Summary:
     plan = versioned(plan)
     if session_step(plan.project):
         options = replace(options, slots=1)
-    make = partial(runners.find(options.runner, plan.project.config.runner_tables), options.slots)
-    on_robots.check_fleet(make(), options.runner, plan)
+    make = partial(runners.find(options.runner, plan.project.config.runners), options.slots)
+    members.check_fleet(make(), options.runner, plan)
     session = Session(store.paths, None if make().stays else plan.project.config.store.place())
     try:
         executor, begun = _begin(plan, store, session, make, options, began)
@@ -68,7 +70,7 @@ def run(plan: Plan, store: Store, options: RunOptions) -> Summary:
 
 def _reused(plan: Plan, store: Store, options: RunOptions) -> Summary:
     """Return the summary of a plan whose runs all have a successful execution."""
-    notes = (*unobserved_services(plan, store), *_robot_notes(plan, store))
+    notes = (*unobserved_services(plan, store), *_member_notes(plan, store))
     summary = of_session(plan, store, len({run.id for run in plan.batch.runs}), only=options.only, notes=notes)
     return with_outcomes(plan, store, summary)
 
@@ -141,9 +143,10 @@ def check_packages(plan: Plan) -> None:
         )
 
 
-def _robot_notes(plan: Plan, store: Store) -> tuple[str, ...]:
-    """Return notes about the robots of a batch."""
-    return tuple(robot_notes.notes(store, plan.batch.id)) if plan.batch.spec.robots is not None else ()
+def _member_notes(plan: Plan, store: Store) -> Iterator[str]:
+    """Yield what extensions note about the members of a batch's runs."""
+    if plan.batch.spec.robots is not None:
+        yield from itertools.chain(*extensions.called("member_notes", store, plan.batch.id))
 
 
 def _sum_up(executor: Executor) -> Summary:
@@ -171,6 +174,6 @@ def _sum_up(executor: Executor) -> Summary:
         tried={run for run, state in unsuccessful.items() if state.usefulness == FAILED} | failed,
         interrupted=executor.interrupted,
         detached=tuple(paths.root.name for paths in executor.left),
-        notes=(*executor.notes, *([twice] if given_up else ()), *reused, *_robot_notes(plan, store)),
+        notes=(*executor.notes, *([twice] if given_up else ()), *reused, *_member_notes(plan, store)),
         only=only,
     )

@@ -23,7 +23,7 @@ from sierra.execution import (
     around,
     commands,
     input_texts,
-    on_robots,
+    members,
     plan_checks,
     plan_notes,
     project_source,
@@ -71,7 +71,7 @@ def plan(
 def _plan(project: LoadedProject, request: QueryRequest, engine: str | None, report: PlanningProgress) -> Plan:
     project = project.for_target(resolve_query.target(project, request))
     query = resolve_query.resolve(project, request)
-    project = replace(project, config=on_robots.configured(platform_options.merged(project.config, query)))
+    project = replace(project, config=members.configured(platform_options.merged(project.config, query)))
     config, root = project.config, project.root
     plan_checks.check_names(project)
     project.plugin_files()
@@ -87,7 +87,7 @@ def _plan(project: LoadedProject, request: QueryRequest, engine: str | None, rep
     command = commands.command(platform, root, contained=image is not None, made=produced, declared=declared, project=config)
     surroundings = around.declared(config, root, declared, contained=image is not None, made=produced)
     around.check_ports(config, command, surroundings)
-    groups = on_robots.of_groups(config, root, declared, produced, contained=image is not None)
+    groups = members.of_groups(config, root, declared, produced, contained=image is not None)
     variables = commands.environment(platform, config, declared, contained=box is not None)
     of_groups = tuple(word for argv in (groups or {}).values() for word in argv)
     filled = commands.as_written(variables)
@@ -124,7 +124,7 @@ def _plan(project: LoadedProject, request: QueryRequest, engine: str | None, rep
         surroundings,
         groups,
     )
-    on_robots.check_paths(spec.words if groups is not None else ())
+    members.check_paths(spec.words if groups is not None else ())
     designed = design(query, config, platform, template, report)
     expansion = Expansion(designed, template, platform, spec, values, folder, config.robots)
     batch = expansion.batch(report)

@@ -67,8 +67,8 @@ def elsewhere(
 ) -> dict[str, JsonView]:
     """Return the record of another host, from the facts and variables that it reported, and `around`, this host's record.
 
-    PATH is this host's, because runs search for programs in it wherever they are executed. `software`: that of a robot, which
-    has its own (`sierra.worker.robot_software`).
+    PATH is this host's, because runs search for programs in it wherever they are executed. `software`: that of a host that
+    has its own, such as a robot.
     """
     kept = {name: value for name, value in around.items() if name != "environment"}
     if software is not None:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from sierra import runners
+from sierra.config import extensions
 from sierra.config.output_tables import Output
 from sierra.config.project_file import LoadedProject
 from sierra.containers.images.image import here
@@ -22,8 +23,8 @@ from sierra.errors import Missing, UsageError
 from sierra.execution import commands, expected_durations, plan_from_record, recover, session_records, targets
 from sierra.execution.build.recorded import Rebuilt, rebuild
 from sierra.execution.checkout import Checkout
+from sierra.execution.members import configured
 from sierra.execution.observer import Observer, ProgressCounter
-from sierra.execution.on_robots import configured
 from sierra.execution.run_jobs import JobService, Setup
 from sierra.execution.sessions import Session
 from sierra.ingest.recording_context import Context
@@ -31,7 +32,7 @@ from sierra.model import Status
 from sierra.provenance import environment, reported_versions
 from sierra.provenance.change_guard import guard
 from sierra.provenance.dependency_model import Programs
-from sierra.replay import find_record, on_robots
+from sierra.replay import find_record, members
 from sierra.replay.compare_host import other_machine, other_programs, unlike_image, used_files
 from sierra.replay.find_record import Record
 from sierra.replay.judge_experiments import compare_runs, judge, recorded_metrics
@@ -82,7 +83,7 @@ def unrecorded(
     """
     if options.keep:
         raise UsageError("--keep keeps folders in the store; remove --no-record")
-    if runners.find(options.runner, project.config.runner_tables)(options.slots).stays:
+    if runners.find(options.runner, project.config.runners)(options.slots).stays:
         raise UsageError(f"runner {options.runner!r} needs the record to find its runs again; remove --no-record")
     resolved = store.resolve(prefix)
     project = targets.of_batch(project, store, resolved.batch or resolved.id)
@@ -110,18 +111,18 @@ class _Prepared:
         engines = self.project.config.engines
         self.engine = plan_from_record.engine(store, record.of.batch, self.spec, options.engine, engines, hosted=True)
         self.image = options.image or plan_from_record.image(self.project, store, self.spec)
-        self.runner = runners.find(options.runner, self.project.config.runner_tables)(options.slots)
+        self.runner = runners.find(options.runner, self.project.config.runners)(options.slots)
         if self.takes_robots:
             self._check_robots()
 
     def _check_robots(self) -> None:
         config, id = self.project.config, self.record.found.id
         inputs = (files for _, files in find_record.inputs(self.record, self.record.runs, self.store))
-        on_robots.check(self.runner, self.options.runner, id, inputs, self.project.robot_groups)
+        members.check(self.runner, self.options.runner, id, inputs, self.project.robot_groups)
         if not self.options.unattended:
-            on_robots.check_attended(id, self.project)
+            members.check_attended(id, self.project)
         runs = [one.run for one in self.record.runs]
-        self.record.notes.append(on_robots.note(self.store, runs, judged=bool(config.equivalence)))
+        self.record.notes += extensions.called("replay_notes", self.store, runs, bool(config.equivalence))
 
 
 @dataclass(frozen=True, slots=True)
@@ -318,7 +319,7 @@ class _Replaying:
         before = len(record.notes)
         if of.takes_robots:
             recorded = [str(taken.execution) for taken in record.runs]
-            record.notes += on_robots.other_processors(self._store, recorded, list(executed.executions.values()))
+            record.notes += members.other_processors(self._store, recorded, list(executed.executions.values()))
         experiments = tuple(judge(of.project, self._store, record, compared, of.metrics, of.rules))
         self._say(record.notes[before:])
         return experiments

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import ClassVar, Protocol, runtime_checkable
 
 from sierra.config.field_types import Table
+from sierra.config.plugin_registry import Tables
 from sierra.containers.on_hosts import HostContainers
 from sierra.errors import Missing, SierraError, UsageError
 from sierra.model import Job, LateFiles, Requirement, Result, Times
@@ -49,6 +50,8 @@ class Work:
     """The id of the store to which results go: robots keep files for it."""
     containers: HostContainers | None = None
     """The containers in which robots execute runs; None without containers."""
+    links: Tables = field(default_factory=dict)
+    """The options of links to hosts, as `[links.NAME]` has them, for runners that reach hosts by a link."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -223,7 +223,7 @@ def _configured(project: LoadedProject, of: str) -> Iterator[Check]:
 
     def check_options() -> str:
         project_file.check_plugins(config)
-        runners.check(config.runner_tables)
+        runners.check(config.runners)
         used(config.outputs, config.readers)
         with_files(config.outputs, project.root)
         return "the options of all plug-ins are valid"

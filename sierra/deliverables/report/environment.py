@@ -1,4 +1,4 @@
-"""The section about the environment: code, hosts, robots, image, programs, variables."""
+"""The section about the environment: code, hosts, members of runs, image, programs, variables."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
-from sierra.deliverables.report import robots
+from sierra.config import extensions
 from sierra.deliverables.report.batch_state import BatchState
 from sierra.deliverables.report.parts import Place, Section, badge, details, facts, filled_table, note, sql, table
 from sierra.util.hashing import short
@@ -62,7 +62,8 @@ def _lines(state: BatchState, place: Place) -> Iterator[Markup]:
     yield element(place.inner, "Hosts")
     yield from _hosts(state)
     yield from _cluster(state, place)
-    yield from robots.lines(state, place)
+    for lines in extensions.called("member_lines", state, place):
+        yield from lines
     yield from _image(state, place)
     yield from _programs(state)
 

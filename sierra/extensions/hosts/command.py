@@ -13,8 +13,7 @@ from sierra.errors import UsageError
 
 def checked(
     names: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="HOST", help="With --hosts: robots of the fleet, or hosts as in `ssh HOST`."),
+        list[str] | None, typer.Argument(metavar="HOST", help="With --hosts: robots of the fleet, or hosts as in `ssh HOST`.")
     ] = None,
     hosts: Annotated[
         bool, typer.Option("--hosts", help="Check hosts over SSH instead: those named, or the fleet of the runner robots.")

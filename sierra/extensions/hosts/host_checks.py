@@ -20,7 +20,6 @@ from sierra.extensions.hosts.clock import measured
 from sierra.runners.links.base import Ended, Link, Unreachable, UntrustedHost
 from sierra.setup.doctor import Check, State
 from sierra.util.lazy_definitions import dataclass, field, replace
-from sierra.worker.clock_watch import ClockWatch
 
 PROGRAMS = ("bash", "git", "podman", "apptainer", "singularity", "roslaunch", "ros2", "gzserver", "sbatch", "qsub", "chronyc")
 INSTALL = "install Python 3.8 or newer there"
@@ -98,7 +97,7 @@ def _project() -> Project | None:
 
 
 def _hosts(project: Project | None, names: Sequence[str], link: str | None) -> list[HostToCheck]:
-    for name, table in project.runner_tables.items() if project else ():
+    for name, table in project.runners.items() if project else ():
         if extensions.absent("runners", name) and "scheduler" not in table:
             raise ConfigError(RUNNERS.unknown(name))
     fleet: dict[str, HostToCheck] = {}
@@ -181,7 +180,7 @@ def _clock(host: HostToCheck, link: Link) -> Check:
         return int(line)
 
     try:
-        clock = measured(ask, ClockWatch().now_ns)
+        clock = measured(ask, time.time_ns)
     finally:
         channel.close()
     offset = f"{clock.offset_ns / 1e9:+.3f} s from this machine's, ± {clock.rtt_ns / 2e9:.3f} s"

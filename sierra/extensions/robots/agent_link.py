@@ -1,4 +1,4 @@
-"""The driver's end of one agent (`sierra.worker.robot_agent`): requests, answers, events, and the beats of the lease."""
+"""The driver's end of one agent (see `agent.robot_agent`): requests, answers, events, and the beats of the lease."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The messages of an agent (`sierra.worker.robot_agent`), checked before anything of them is used or recorded.
+"""The messages of an agent (`sierra.extensions.robots.agent.robot_agent`), checked before anything of them is used or recorded.
 
 A robot may have been taken over, and its agent may be another program. What its messages say may be wrong then, but each value
 has its type, times and numbers are finite and fit into the store, and texts can be written. Nothing else is passed on.
@@ -112,7 +112,7 @@ class _Clock(_Message):
 
 
 class _Watched(_Message):
-    """See `sierra.worker.clock_watch.Course`."""
+    """See `sierra.extensions.robots.agent.clock_watch.Course`."""
 
     uneven: Annotated[int, Field(ge=0, lt=LATEST_NS // 8)]
     moved: Annotated[int, Field(gt=-LATEST_NS, lt=LATEST_NS)]

@@ -2,13 +2,13 @@
 
 Stamps of a robot are converted by a line through two measurements of its offset to the clock of this host, before and after the
 run. That is wrong as far as one of both clocks has not moved evenly in between, because it was set or slewed. Both are watched
-meanwhile (see `sierra.worker.clock_watch`).
+meanwhile (see `sierra.extensions.robots.agent.clock_watch`).
 """
 
 from __future__ import annotations
 
+from sierra.extensions.robots.agent.clock_watch import Course
 from sierra.extensions.robots.trial import Part
-from sierra.worker.clock_watch import Course
 
 UNEVEN = 1e-6
 """The error of the line that no watch sees, in seconds per second, because the rates of crystals change with the temperature.

@@ -65,10 +65,10 @@ def check_addresses(addresses: Mapping[str, str | None]) -> None:
     `addresses` are those of the robots of a run, by name; None if one is unknown. Two virtual machines behind forwarded ports,
     for example, may have the same address, each in a network of its own.
     """
-    for (one, address), (other, same) in combinations(addresses.items(), 2):
+    for (name, address), (other, same) in combinations(addresses.items(), 2):
         if address is not None and address == same:
             raise Missing(
-                f"{one} and {other} have the same address {address}; give each an address by which the other robots reach it: "
+                f"{name} and {other} have the same address {address}; give each an address by which the other robots reach it: "
                 f'{other} = {{ host = …, address = "…" }} in [runners.robots.fleet]'
             )
 
@@ -78,11 +78,11 @@ def check_time_zones(hellos: Mapping[str, Record]) -> None:
 
     `hellos` are the answers of the robots of a run, by name.
     """
-    for (one, first), (other, second) in combinations(hellos.items(), 2):
+    for (robot, first), (other, second) in combinations(hellos.items(), 2):
         zones = {_zone(first), _zone(second)}
         if first["utc_offset"] != second["utc_offset"] and not (len(zones) == 2 and None not in zones):
             raise Missing(
-                f"{one} ({_shown(first)}) and {other} ({_shown(second)}) have different time zones, and local times on them "
+                f"{robot} ({_shown(first)}) and {other} ({_shown(second)}) have different time zones, and local times on them "
                 'differ; declare variables = { TZ = "UTC" } in [runners.robots]'
             )
 

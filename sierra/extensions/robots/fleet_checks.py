@@ -33,7 +33,7 @@ REMEDIES = {
 
 def of_fleet(project: Project, link: str | None) -> dict[str, HostToCheck]:
     """Return the robots that runs use, by name; `link` is the link to use, by default that of the fleet."""
-    tables = project.runner_tables
+    tables = project.runners
     table = RUNNERS.options("robots", tables["robots"]) if "robots" in tables else None
     if not isinstance(table, FleetTable):  # there is none, or a plug-in has this name
         return {}
@@ -43,7 +43,7 @@ def of_fleet(project: Project, link: str | None) -> dict[str, HostToCheck]:
             name,
             robot.host,
             chosen,
-            robot.link_options if chosen == table.link else project.links.get(chosen, {}),
+            {**project.links.get(chosen, {}), **(robot.link_options if chosen == table.link else {})},
             python=table.python,
             folder=table.folder,
             disk_min=table.disk_min,

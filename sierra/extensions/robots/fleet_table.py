@@ -68,51 +68,23 @@ class FleetTable(Table):
         (), description="names of the robots and groups that are used; default: all", examples=[["tb1"]]
     )
     link: Line = Field("fabric", description="the link to all robots: `fabric` or `openssh`")
-    link_options: Mapping[str, Any] = Field(
-        default_factory=dict,
-        description=LINK_OPTIONS,
-        examples=[{"connect": 10.0}],
-    )
+    link_options: Mapping[str, Any] = Field(default_factory=dict, description=LINK_OPTIONS, examples=[{"connect": 10.0}])
     folder: Annotated[str, StringConstraints(pattern=r"^(~/)?[A-Za-z0-9/._+@-]+$")] = Field(
         ".cache/sierra-robot", description="folder for runs on each robot: absolute, or within the home folder there"
     )
     python: Annotated[Line, OF_PYTHON] = "python3"
-    variables: Mapping[str, str] = Field(
-        default_factory=dict,
-        description=VARIABLES,
-        examples=[{"TZ": "UTC"}],
-    )
-    setup: Line | None = Field(
-        None,
-        description=SETUP,
-        examples=["source /opt/ros/noetic/setup.bash"],
-    )
-    stop: Argv | None = Field(
-        None,
-        description=STOP,
-        examples=[["motor", "0"]],
-    )
+    variables: Mapping[str, str] = Field(default_factory=dict, description=VARIABLES, examples=[{"TZ": "UTC"}])
+    setup: Line | None = Field(None, description=SETUP, examples=["source /opt/ros/noetic/setup.bash"])
+    stop: Argv | None = Field(None, description=STOP, examples=[["motor", "0"]])
     stop_limit: Positive = Field(5.0, description="time limit of the stop command, in seconds")
     lease: Annotated[float, Field(ge=0.5, le=600)] = Field(
         5.0, description="time after which a robot that hears nothing from this machine ends its run, in seconds"
     )
     grace: Grace = 2.0
-    battery: Battery | None = Field(
-        None,
-        description=BATTERY,
-        examples=["/sys/class/power_supply/BAT0/capacity"],
-    )
+    battery: Battery | None = Field(None, description=BATTERY, examples=["/sys/class/power_supply/BAT0/capacity"])
     battery_min: Annotated[float, Field(ge=0, le=100)] = Field(20.0, description="charge in percent below which no run starts")
-    firmware: Command | None = Field(
-        None,
-        description=FIRMWARE,
-        examples=[["cat", "/etc/firmware"]],
-    )
-    calibration: Line | None = Field(
-        None,
-        description=CALIBRATION,
-        examples=["~/calibration.yaml"],
-    )
+    firmware: Command | None = Field(None, description=FIRMWARE, examples=[["cat", "/etc/firmware"]])
+    calibration: Line | None = Field(None, description=CALIBRATION, examples=["~/calibration.yaml"])
     disk_min: Size = Field(
         100_000_000,
         description="free space below which no run starts, on each robot and on this machine, in bytes or as in `1 GB`",
@@ -128,30 +100,24 @@ class FleetTable(Table):
         "larger one has failed. By default, a remark is recorded if stamps cannot be converted (`robot_clocks.remark`)",
     )
     checks: tuple[Command, ...] = Field(
-        (),
-        description=CHECKS,
-        examples=[[["timeout", "8", "rostopic", "echo", "-n1", "/scan"]]],
+        (), description=CHECKS, examples=[[["timeout", "8", "rostopic", "echo", "-n1", "/scan"]]]
     )
 
-    topic_rates: Mapping[Topic, Positive] = Field(
-        default_factory=dict,
-        description=TOPIC_RATES,
-        examples=[{"/scan": 4.0}],
-    )
+    topic_rates: Mapping[Topic, Positive] = Field(default_factory=dict, description=TOPIC_RATES, examples=[{"/scan": 4.0}])
 
     @model_validator(mode="after")
     def _is_consistent(self) -> Self:
         for key in ("host", "address"):
             robots: dict[str | None, list[str]] = {}
-            for name, one in self.fleet.items():
-                robots.setdefault(getattr(one, key), []).append(name)
+            for name, robot in self.fleet.items():
+                robots.setdefault(getattr(robot, key), []).append(name)
             if twice := [value for value, names in robots.items() if value is not None and len(names) > 1]:
                 raise ValueError(f"{' and '.join(robots[twice[0]])} have the same {key} {twice[0]!r}")
-        groups = {one.group for one in self.fleet.values()}
+        groups = {robot.group for robot in self.fleet.values()}
         if unknown := [name for name in self.use if name not in self.fleet and name not in groups]:
             known = ", ".join([*self.fleet, *sorted(groups)])
             raise ValueError(f"use: unknown robot or group {unknown[0]!r}; known are {known}")
-        if lacking := [name for name, one in self.fleet.items() if one.stop is None and self.stop is None]:
+        if lacking := [name for name, robot in self.fleet.items() if robot.stop is None and self.stop is None]:
             raise ValueError(f"{lacking[0]} has no stop command; give stop = [...], or stop = [] if it needs none")
         return self
 
@@ -183,11 +149,11 @@ def allocate(table: FleetTable, places: Sequence[tuple[int, str]]) -> dict[int, 
     A group that no robot names is taken by robots of the group `robot`. Raises ConfigError if there are too few of them.
     """
     free: dict[str, list[str]] = {}
-    for name, one in table.used().items():
-        free.setdefault(one.group, []).append(name)
+    for name, robot in table.used().items():
+        free.setdefault(robot.group, []).append(name)
     fleet = 'the fleet with its "use"' if table.use else "the fleet"
     have = {group: f"{fleet} has {len(names)}" for group, names in free.items()}
-    named = {one.group for one in table.fleet.values()} | {BASE}
+    named = {robot.group for robot in table.fleet.values()} | {BASE}
     sources = {place: group if group in named else ROBOT for place, group in places}
     taken: dict[int, str] = {}
     for place, source in sources.items():

@@ -40,18 +40,18 @@ class _Observed(BaseModel):
 
 def merge(parts: Iterable[Part], folder: Path) -> bool:
     """Write the record of a run to its folder; return whether there is one. Call it before the files of parts are moved."""
-    found = {part.name: _read(part) for part in parts if part.started}
-    known = {name: one for name, one in found.items() if one is not None}
+    records = {part.name: _read(part) for part in parts if part.started}
+    known = {name: own for name, own in records.items() if own is not None}
     if not known:
         return False
-    missing = [f"{name} was not observed" for name in found.keys() - known.keys()]
-    reasons = [*dict.fromkeys(one.reason for one in known.values() if one.reason), *sorted(missing)]
+    missing = [f"{name} was not observed" for name in records.keys() - known.keys()]
+    reasons = [*dict.fromkeys(own.reason for own in known.values() if own.reason), *sorted(missing)]
     record = {
         "method": next(iter(known.values())).method,
         "reason": "; ".join(reasons) or None,
-        "notes": [f"{name}: {note}" for name, one in known.items() for note in one.notes],
-        "distributions": list(dict.fromkeys(line for one in known.values() for line in one.distributions)),
-        "files": sorted({file for name, one in known.items() for file in _files(name, one)}, key=lambda file: file[:2]),
+        "notes": [f"{name}: {note}" for name, own in known.items() for note in own.notes],
+        "distributions": list(dict.fromkeys(line for own in known.values() for line in own.distributions)),
+        "files": sorted({file for name, own in known.items() for file in _files(name, own)}, key=lambda file: file[:2]),
         "written": [],
     }
     (folder / OBSERVED).write_text(json.dumps(record), encoding="ascii")

@@ -8,6 +8,7 @@ import tempfile
 from pathlib import Path
 
 from sierra.errors import Missing
+from sierra.extensions.robots import agent
 from sierra.runners.links.base import Link, Unreachable
 from sierra.util import worker_zip
 from sierra.worker import program
@@ -18,18 +19,18 @@ LENGTH = 24
 
 def content_name(folder: Path) -> str:
     """Return a name for the content of a folder, or of a file: paths, bytes, and which files may be executed."""
-    found = hashlib.sha256()
+    content = hashlib.sha256()
     top = folder.parent if folder.is_file() else folder
     for path in [folder] if folder.is_file() else sorted(folder.rglob("*")):
         name = os.fsencode(path.relative_to(top))
         if path.is_symlink():
-            found.update(b"link %s\0%s\0" % (name, os.fsencode(path.readlink())))
+            content.update(b"link %s\0%s\0" % (name, os.fsencode(path.readlink())))
         elif path.is_file():
             executable = b"x" if os.access(path, os.X_OK) else b"-"
-            found.update(b"file %s\0%s %s\0" % (name, executable, hashlib.sha256(path.read_bytes()).digest()))
+            content.update(b"file %s\0%s %s\0" % (name, executable, hashlib.sha256(path.read_bytes()).digest()))
         else:
-            found.update(b"folder %s\0" % name)
-    return found.hexdigest()[:LENGTH]
+            content.update(b"folder %s\0" % name)
+    return content.hexdigest()[:LENGTH]
 
 
 def push_content(link: Link, folder: Path, root: str, kind: str, name: str | None = None) -> str:
@@ -55,5 +56,5 @@ def push_content(link: Link, folder: Path, root: str, kind: str, name: str | Non
 def push_programs(link: Link, root: str) -> str:
     """Copy the programs that execute runs to a robot; return their folder there."""
     with tempfile.TemporaryDirectory(prefix="sierra-") as made:
-        Path(made, program.NAME).write_bytes(worker_zip.packed())
+        Path(made, program.NAME).write_bytes(worker_zip.packed(Path(agent.__file__).parent))
         return push_content(link, Path(made), root, "programs")

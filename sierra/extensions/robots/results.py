@@ -97,15 +97,15 @@ def _first_failed(parts: Iterable[Part]) -> End | None:
 
 def failure(trial: Trial) -> str | None:
     """Return what happened to which robot, in one line; None if the run has ended well on all of them."""
-    found = [f"{part.name} {text}" for part in trial.parts if (text := _trouble(part, trial))]
+    troubles = [f"{part.name} {text}" for part in trial.parts if (text := _trouble(part, trial))]
     if own := clock_changes.failure_here(trial.course, trial.table.clock_drift):
-        found.append(f"this machine {own}")
-    if not found and trial.stopped not in (None, OVER, STOPPED):
-        found = [str(trial.stopped)]
-    elif found and trial.stopped not in (None, OVER, STOPPED) and len(trial.parts) > 1:
-        found.append("the others were stopped")
-    found += [f"{part.name} {text}" for part in trial.parts if (text := _cut(part, trial))]
-    return "; ".join(found) or None
+        troubles.append(f"this machine {own}")
+    if not troubles and trial.stopped not in (None, OVER, STOPPED):
+        troubles = [str(trial.stopped)]
+    elif troubles and trial.stopped not in (None, OVER, STOPPED) and len(trial.parts) > 1:
+        troubles.append("the others were stopped")
+    troubles += [f"{part.name} {text}" for part in trial.parts if (text := _cut(part, trial))]
+    return "; ".join(troubles) or None
 
 
 def _trouble(part: Part, trial: Trial) -> str | None:
@@ -115,8 +115,8 @@ def _trouble(part: Part, trial: Trial) -> str | None:
     if part.failure:
         return f"has failed: {part.failure}"
     if not part.started or part.end is None:
-        found = part.ended or {}
-        return f"has not begun its program: {(*found.get('problems', ()), found.get('why') or part.problem)[0]}"
+        report = part.ended or {}
+        return f"has not begun its program: {(*report.get('problems', ()), report.get('why') or part.problem)[0]}"
     if part.moving:
         return f"may be moving: {part.moving}"
     if part.ended and part.ended["why"] and part.ended["why"].startswith("lost the driver"):
@@ -174,7 +174,7 @@ def times_of(part: Part) -> Times | None:
     return Times(end["started"] - offset, end["ended"] - offset)
 
 
-def rows(trial: Trial, job: Job, table: Iterable[str] = ()) -> Iterator[tuple[str, Mapping[str, RecordValue]]]:
+def rows(trial: Trial, job: Job) -> Iterator[tuple[str, Mapping[str, RecordValue]]]:
     """Yield the rows of `robots` of a trial."""
     for part in trial.parts:
         facts = part.hello.get("facts", {})
@@ -218,14 +218,10 @@ def rows(trial: Trial, job: Job, table: Iterable[str] = ()) -> Iterator[tuple[st
 def _status(part: Part) -> str:
     if part.lost is not None:
         return "lost"
-    if (
-        part.failure
-        or part.moving
-        or not part.started
-        or (part.ended and part.ended["why"] and part.ended["why"].startswith("lost"))
-    ):
+    why = part.ended["why"] or "" if part.ended else ""
+    if part.failure or part.moving or not part.started or why.startswith("lost"):
         return "failed"
-    return "stopped" if part.ended and part.ended["why"] else "ok"
+    return "stopped" if why else "ok"
 
 
 def _remarks(part: Part, trial: Trial) -> str | None:

@@ -15,7 +15,7 @@ import shutil
 import threading
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import ClassVar, cast
@@ -26,33 +26,35 @@ from sierra.containers.engines.hosts import OtherHost
 from sierra.containers.on_hosts import HostContainer
 from sierra.errors import ConfigError, Missing, SierraError
 from sierra.extensions.robots import agent_start, fitting, results
+from sierra.extensions.robots.agent.software import Software
 from sierra.extensions.robots.agent_link import AgentLink
 from sierra.extensions.robots.agent_messages import Record, as_report
-from sierra.extensions.robots.engine_errors import classify
 from sierra.extensions.robots.fleet_table import FleetTable, RobotTable, allocate, check_groups
 from sierra.extensions.robots.push import content_name, push_content
 from sierra.extensions.robots.trial import STOPPED, Late, Part, Trial, each
 from sierra.model import Job, LateFiles, Limits, Member, Result
 from sierra.provenance import environment
 from sierra.runners.base import Beat, Look, Work
-from sierra.runners.journal_reader import Journal, Row
+from sierra.runners.journal_reader import Journal, Row, result_of
 from sierra.runners.links.base import Link, NoSession, Unreachable
 from sierra.runners.local import record
-from sierra.store.layout import SessionPaths
+from sierra.store.layout import RUN_STDERR, SessionPaths
 from sierra.store.ownership_marks import SESSION
 from sierra.store.segments import disk_errors
 from sierra.util.json_types import RecordValue
 from sierra.util.lazy_logger import Log
 from sierra.util.processors import name_of
 from sierra.worker import journal
+from sierra.worker.files import end_of
 from sierra.worker.job import Job as JobRecord
 from sierra.worker.journal import Event
-from sierra.worker.robot_software import Software
 
 log = Log(__name__)
 SESSION_S = 10.0
 """The seconds in which a host must execute one more command while its agent serves."""
 REJOIN_S = 0.3
+SHOWN = 2000
+"""The bytes of an engine's errors that explain the end of a program."""
 DONE_S = 60.0
 """The seconds in which a robot must remove what a run has left."""
 LATE = 1 << 62
@@ -101,7 +103,7 @@ class Robots:
             raise ConfigError(NO_FLEET)
         jobs = list(work.jobs)
         for job in jobs:
-            allocate(self._table, [(one.place, one.group) for one in job.members])
+            allocate(self._table, [(member.place, member.group) for member in job.members])
         self._journal = Journal(session.journal)
         self._journal.skip()
         session.runs.mkdir(parents=True, exist_ok=True)
@@ -139,6 +141,7 @@ class Robots:
     def look(self) -> Look:
         alive = self._thread is not None and self._thread.is_alive()
         trial = self._trial
+        parts = trial.parts if trial else []
         events, more = self._journal.some()
         notes = tuple(self._notes.get() for _ in range(self._notes.qsize()))
         wrong = None
@@ -154,7 +157,7 @@ class Robots:
             rows=tuple((event.table, event.row) for event in events if isinstance(event, Row)),
             notes=notes,
             wrong=wrong,
-            beats=tuple(Beat(one.name, one.agent.silence, one.before.get("battery")) for one in trial.parts) if trial else (),
+            beats=tuple(Beat(part.name, part.agent.silence, part.before.get("battery")) for part in parts),
             ready=trial is not None and trial.waits,
             stopping=trial is not None and trial.stopped is not None,
             collecting=trial is not None and trial.over,
@@ -208,17 +211,17 @@ class Robots:
     def _try(self, job: Job, lead: float) -> None:
         """Execute one run as `_run` does, once. `lead` is as in `Trial.execute`. Raises SierraError."""
         self._check_room()
-        taken = allocate(self._table, [(one.place, one.group) for one in job.members])
+        taken = allocate(self._table, [(member.place, member.group) for member in job.members])
         robots = {place: self._robot(name) for place, name in taken.items()}
         each(Robot.connect, robots.values())
         each(Robot.examine, robots.values())
         each(Robot.supply, robots.values())
         if self._stopped is not None:
             return
-        fitting.check_addresses({one.name: one.address for one in robots.values()})
-        fitting.check_time_zones({one.name: one.hello for one in robots.values()})
-        addresses = {f"SIERRA_ADDRESS_{place}": one.address for place, one in robots.items() if one.address}
-        parts = [self._part(job, one, robots[one.place], addresses) for one in job.members]
+        fitting.check_addresses({robot.name: robot.address for robot in robots.values()})
+        fitting.check_time_zones({robot.name: robot.hello for robot in robots.values()})
+        addresses = {f"SIERRA_ADDRESS_{place}": robot.address for place, robot in robots.items() if robot.address}
+        parts = [self._part(job, member, robots[member.place], addresses) for member in job.members]
         attempt = f"{job.execution[:16]}-{secrets.token_hex(4)}"
         trial = Trial(
             attempt,
@@ -316,7 +319,7 @@ class Robots:
         if self._work.code:
             fitting.check_programs(robot.name, robot.arch, member, self._work.code, robot.agent.link)
         placed = member.at("\0", robot.code, robot.arch)
-        given = robot.variables if robot.container else robot.hello["variables"]  # a setup line is about the host
+        given = robot.options.variables if robot.container else robot.hello["variables"]  # a setup line is about the host
         variables = {**given, **placed.environment, **addresses, "SIERRA_EXECUTION": job.execution}
         if robot.address:
             variables["SIERRA_ADDRESS"] = robot.address
@@ -351,44 +354,39 @@ class Robots:
         return self._robots[name]
 
     def _link(self, name: str, options: RobotTable) -> Link:
-        link: Link = LINKS.make(self._table.link, {self._table.link: options.link_options}, options.host)
+        kind = self._table.link
+        link: Link = LINKS.make(kind, {kind: {**self._work.links.get(kind, {}), **options.link_options}}, options.host)
         return link
 
 
+@dataclass(eq=False)
 class Robot:
     """One robot of the fleet, and its agent once it is connected."""
 
-    def __init__(
-        self,
-        name: str,
-        options: RobotTable,
-        table: FleetTable,
-        agent: AgentLink,
-        work: Work,
-        code: str | None,
-        session: SessionPaths,
-        notes: queue.SimpleQueue[str],
-        collect: Callable[[Robot, Record], None],
-    ) -> None:
-        """`collect` copies what an earlier run has left there."""
-        self.name = name
-        self.agent = agent
-        self.variables = options.variables
-        self.container: HostContainer | None = None
-        """The containers there; None without containers, or before `examine`."""
-        self.hello: Record = {}
-        self.environment: dict[str, RecordValue] = {}
-        self.code = ""
-        """The folder of the code there."""
-        self._options = options
-        self._table = table
-        self._work = work
-        self._code = code
-        self._session = session
-        self._notes = notes
-        self._collect = collect
-        self._root = table.folder.removeprefix("~/")
-        self._connected = self._examined = self._supplied = False
+    name: str
+    options: RobotTable
+    _table: FleetTable
+    agent: AgentLink
+    _work: Work
+    _code: str | None
+    """The name of the folder of the code on robots; None if the runs do not need it."""
+    _session: SessionPaths
+    _notes: queue.SimpleQueue[str]
+    _collect: Callable[[Robot, Record], None]
+    """Copies what an earlier run has left there."""
+    container: HostContainer | None = None
+    """The containers there; None without containers, or before `examine`."""
+    hello: Record = field(default_factory=dict)
+    environment: Mapping[str, RecordValue] = field(default_factory=dict)
+    code: str = ""
+    """The folder of the code there."""
+    _connected: bool = False
+    _examined: bool = False
+    _supplied: bool = False
+
+    @property
+    def _root(self) -> str:
+        return self._table.folder.removeprefix("~/")
 
     def examine(self) -> None:
         """Check that containers can be executed there, before anything is copied for runs. Raises Missing, Unreachable."""
@@ -404,7 +402,7 @@ class Robot:
     @property
     def address(self) -> str | None:
         """Return its address for other robots; None if it is unknown."""
-        return self._options.address or self.hello.get("address")
+        return self.options.address or self.hello.get("address")
 
     def connect(self, keep: str | None = None) -> Record:
         """Start the agent unless it is there, and return what it says about its robot, which it has brought to a standstill.
@@ -416,7 +414,7 @@ class Robot:
         try:
             with self._named():
                 session = self._session.root.name
-                self.hello = agent_start.start(self.agent, self._options, self._table, session, self._work.store)
+                self.hello = agent_start.start(self.agent, self.options, self._table, session, self._work.store)
                 self._check_sessions()
         except SierraError:
             self.agent.abandon("the connection was given up")
@@ -546,6 +544,17 @@ class Robot:
                     self.container.engine.sweep([self._session.root.name])
             self.agent.close()
         self.agent.link.close()
+
+
+def classify(part: Part, container: HostContainer) -> None:
+    """Replace the end of the engine's client by that of the program, in the report of a part whose files were pulled."""
+    end = part.end
+    if end is None or end["exit_code"] == 0 or part.files is None:
+        return
+    errors = end_of(str(part.files / RUN_STDERR), SHOWN).decode("utf-8", "replace")
+    result = container.classify(result_of(end), errors)
+    end["exit_code"], end["signal"] = result.exit_code, result.signal
+    end["stopped"], end["error"] = result.stopped, result.error
 
 
 def as_json(row: Mapping[str, RecordValue]) -> dict[str, object]:

@@ -21,11 +21,11 @@ from typing import TypeVar
 
 from sierra.errors import Missing, SierraError
 from sierra.extensions.hosts.clock import Clock
+from sierra.extensions.robots.agent.clock_watch import ClockWatch, Course
 from sierra.extensions.robots.agent_link import AgentLink, Refused
 from sierra.extensions.robots.agent_messages import Record, as_report
 from sierra.extensions.robots.fleet_table import FleetTable
 from sierra.runners.links.base import Unreachable
-from sierra.worker.clock_watch import ClockWatch, Course
 from sierra.worker.job import Job
 from sierra.worker.journal import End
 from sierra.worker.running import START_S
@@ -119,42 +119,31 @@ class Part:
         return f"its program ended with status {end['exit_code']}" if end["exit_code"] else None
 
 
+@dataclass(eq=False)
 class Trial:
     """One run while it executes."""
 
-    def __init__(
-        self,
-        attempt: str,
-        parts: list[Part],
-        table: FleetTable,
-        events: queue.SimpleQueue[tuple[str, Record]],
-        *,
-        stopping: Callable[[], str | None],
-        notice: Callable[[str], None],
-        may_begin: Callable[[], bool] = lambda: True,
-    ) -> None:
-        """Make a run. `stopping` returns why it must end; None while it may go on. `may_begin` returns whether it may begin."""
-        self.attempt = attempt
-        self.parts = parts
-        self.stopped: str | None = None
-        """The reason why the robots were told to stop; the first one counts."""
-        self.at_ns = 0
-        """The common start by this host's clock."""
-        self.waits = False
-        """True while all robots are armed, and the run may not begin."""
-        self.over = False
-        """True from the end of the run on all robots on."""
-        self.course: Course | None = None
-        """The course of this host's clock between the measurements of the robots' clocks; None before the last ones."""
-        self.table = table
-        self._events = events
-        self._stopping = stopping
-        self._notice = notice
-        self._may_begin = may_begin
-        self._by_name = {part.name: part for part in parts}
-        self._stopped_at = 0.0
-        self._silent: set[str] = set()
-        self._watch = ClockWatch()
+    attempt: str
+    parts: list[Part]
+    table: FleetTable
+    _events: queue.SimpleQueue[tuple[str, Record]]
+    stopping: Callable[[], str | None]
+    """Returns why it must end; None while it may go on."""
+    notice: Callable[[str], None]
+    may_begin: Callable[[], bool]
+    stopped: str | None = None
+    """The reason why the robots were told to stop; the first one counts."""
+    at_ns: int = 0
+    """The common start by this host's clock."""
+    waits: bool = False
+    """True while all robots are armed, and the run may not begin."""
+    over: bool = False
+    """True from the end of the run on all robots on."""
+    course: Course | None = None
+    """The course of this host's clock between the measurements of the robots' clocks; None before the last ones."""
+    _stopped_at: float = 0.0
+    _silent: set[str] = field(default_factory=set)
+    _watch: ClockWatch = field(default_factory=ClockWatch)
 
     def execute(self, lead: float) -> bool:
         """Execute the run until it has ended on all robots; return False if it was stopped before it began.
@@ -166,7 +155,7 @@ class Trial:
             self._check()
             self._arm()
             self._hold()
-            if reason := self._stopping():
+            if reason := self.stopping():
                 return self._cancel(reason)
             self._measure()
             self._start(lead)
@@ -191,7 +180,7 @@ class Trial:
         def check(part: Part) -> None:
             part.before = part.agent.ask("check", CHECK_S, unchanged=part.unchanged)
 
-        self._each(check)
+        each(check, self.parts)
         for part in self.parts:
             if reason := self._unfit(part.before):
                 raise Missing(f"{part.name}: {reason}")
@@ -215,7 +204,7 @@ class Trial:
                 part.armed = False
                 raise
 
-        self._each(arm)
+        each(arm, self.parts)
 
     def _hold(self) -> None:
         """Wait until the run may begin, or is stopped. Raises Missing if a robot drops out."""
@@ -229,7 +218,7 @@ class Trial:
                     if not part.is_open:
                         reason = part.lost or part.failure or (part.ended or {}).get("why")
                         raise Missing(f"{part.name}: was ready, but cannot start any more: {reason}")
-                if self._may_begin() or self._stopping():
+                if self.may_begin() or self.stopping():
                     return
                 self._take(POLL_S)
         finally:
@@ -243,7 +232,7 @@ class Trial:
             return part.agent.clock(self._watch.now_ns)  # the start is by this clock, also if the wall clock is set
 
         self._watch = ClockWatch()
-        for part, clock in zip(self.parts, self._each(measure), strict=True):
+        for part, clock in zip(self.parts, each(measure, self.parts), strict=True):
             part.clock = clock
             if clock.rtt_ns / 2e9 > self.table.clock_error:
                 raise Missing(
@@ -268,7 +257,7 @@ class Trial:
             if answer["event"] != "gated":
                 raise Late(f"{part.name}: the start reached it {answer['by']:.3f} s too late")
 
-        self._each(tell)
+        each(tell, self.parts)
 
     def _cancel(self, reason: str) -> bool:
         """Tell all robots to stop before the start; return whether one has started nevertheless."""
@@ -304,7 +293,7 @@ class Trial:
                 for part in self.parts:
                     part.agent.heard = time.monotonic()
             looked = time.monotonic()
-            if reason := self._stopping():
+            if reason := self.stopping():
                 self.stop(reason)
             for part in self.parts:
                 if part.is_open:
@@ -325,7 +314,7 @@ class Trial:
         elif silence > lease / 2 and part.name not in self._silent:
             self._silent.add(part.name)
             does = "its run goes on" if part.started else "it stays ready"
-            self._notice(f"{part.name} does not answer; {does} for {lease:g} s at most, its lease")
+            self.notice(f"{part.name} does not answer; {does} for {lease:g} s at most, its lease")
 
     def _take(self, seconds: float) -> None:
         """Take the next event, if there is one in this time."""
@@ -333,7 +322,7 @@ class Trial:
             name, event = self._events.get(timeout=seconds)
         except queue.Empty:
             return
-        part = self._by_name.get(name)
+        part = next((part for part in self.parts if part.name == name), None)
         if part is None or event.get("attempt", self.attempt) != self.attempt:
             return
         match event["event"]:
@@ -350,7 +339,7 @@ class Trial:
     def _react(self, part: Part) -> None:
         """Stop the others if a program has failed, or if that of the base station has ended."""
         if part.moving:
-            self._notice(f"{part.name} may be moving: {part.moving}")
+            self.notice(f"{part.name} may be moving: {part.moving}")
             self.stop(f"{part.name} may be moving")
         elif part.failure:
             self.stop(f"{part.name}: {part.failure}")
@@ -405,10 +394,6 @@ class Trial:
                 report = as_report(left["report"])
                 part.ended = report and {**report, "moving": None}  # it stands still since it was joined again
                 part.started = True
-
-    def _each(self, work: Callable[[Part], Made]) -> list[Made]:
-        """Do something with all robots at once; return the results. Raises the first error, after all have ended."""
-        return each(work, self.parts)
 
 
 def each(work: Callable[[Item], Made], items: Iterable[Item]) -> list[Made]:

@@ -16,7 +16,7 @@ from itertools import groupby
 from typing import NamedTuple
 
 from sierra.errors import Missing
-from sierra.execution import commands, on_robots
+from sierra.execution import commands, members
 from sierra.execution.plan import context
 from sierra.execution.session_steps import Core, Outcome
 from sierra.extensions.trials import facts, poses
@@ -147,7 +147,7 @@ class Conduct:
 
     def _robots(self, run: Run, runner: Runner) -> Mapping[int, str]:
         """Return the names of the robots that take part in a run, by place; nothing if the runner does not know them."""
-        return runner.robot_names(on_robots.places(self._plan.files(run))) if isinstance(runner, NamesRobots) else {}
+        return runner.robot_names(members.places(self._plan.files(run))) if isinstance(runner, NamesRobots) else {}
 
     def _try(self, run: Run, runner: Runner, trial: Trial, row: TrialRow) -> bool:
         """Execute a trial unless the person decides otherwise, and record the verdict; return False if it is to be repeated."""

@@ -126,7 +126,7 @@ class _Work:
     def reproduce(
         self, agree: Callable[[Statement], None]
     ) -> tuple[tuple[ReproducedBatch, ...], tuple[Evaluated, ...], tuple[str, ...]]:
-        runners.find(self._options.runner, self._project.config.runner_tables)
+        runners.find(self._options.runner, self._project.config.runners)
         names = claims.named(self._project, self._options.claims)
         rests = claims.rest(self._project, self._store, names)
         plans = [*self._plans(rests)]

@@ -8,9 +8,9 @@ import pytest
 
 from sierra.extensions.hosts.clock import Clock
 from sierra.extensions.robots import clock_changes
+from sierra.extensions.robots.agent.clock_watch import Course
 from sierra.extensions.robots.agent_link import AgentLink
 from sierra.extensions.robots.trial import Part
-from sierra.worker.clock_watch import Course
 from sierra.worker.job import Job
 from tests.support.local_link import LocalLink
 

@@ -53,7 +53,9 @@ def trial_of(folder: Path) -> Trial:
         clock = Clock(0, 1000, 0)
         parts.append(Part(place, "robot", agent, {}, JOB, clock=clock, started=True, ended=ended, files=folder / str(place)))
     table = FleetTable(fleet={"ada": {"host": "ada"}, "bob": {"host": "bob"}}, stop=[])
-    trial = Trial("1", parts, table, queue.SimpleQueue(), stopping=lambda: None, notice=lambda text: None)
+    trial = Trial(
+        "1", parts, table, queue.SimpleQueue(), stopping=lambda: None, notice=lambda text: None, may_begin=lambda: True
+    )
     trial.stopped, trial.at_ns = STOPPED, round(END["started"] * 1e9)
     return trial
 

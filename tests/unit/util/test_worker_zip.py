@@ -39,7 +39,7 @@ def test_its_modules_never_load_an_installed_sierra(tmp_path: Path) -> None:
 import runpy, sys
 programs = runpy.run_path({str(program)!r})
 programs["add_package"]()
-import sierra.worker.worker, sierra.worker.robot_agent, sierra.worker.array_task
+import sierra.worker.worker, sierra.worker.conductor, sierra.worker.array_task
 modules = [module for name, module in sys.modules.items() if name.startswith("sierra.worker.")]
 print(sorted({{module.__file__.rpartition("/")[0] for module in modules}}))
 """

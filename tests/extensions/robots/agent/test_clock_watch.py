@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sierra.worker import clock_watch
-from sierra.worker.clock_watch import ClockWatch, Course, distance
+from sierra.extensions.robots.agent import clock_watch
+from sierra.extensions.robots.agent.clock_watch import ClockWatch, Course, distance
 
 MS, SECOND = 1_000_000, 1_000_000_000
 START = 1_700_000_000 * SECOND

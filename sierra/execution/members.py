@@ -1,4 +1,4 @@
-"""Runs on robots: their commands and outputs, and what is refused.
+"""Members of runs, which are robots: their commands and outputs, and what is refused.
 
 Each robot writes into a folder of its own, named by its place. An output with `file = "swarm.csv"` is therefore read from
 `{robot}/swarm.csv`: the files of all robots become one table with the column `robot`. A `file` that begins with a place

@@ -8,26 +8,21 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
-from typing import Any, Callable, Dict, Mapping, Sequence
+from typing import Callable, Mapping, Sequence
 
+from sierra.extensions.robots.agent.processes import TAIL_BYTES
+from sierra.extensions.robots.agent.records import Record
+from sierra.extensions.robots.agent.topic_rates import shortfall
 from sierra.worker.errors import explain
 from sierra.worker.outputs import describe
-from sierra.worker.topic_rates import shortfall
-
-Record = Dict[str, Any]
 
 CHECK_S = 10.0
-TAIL_BYTES = 400
 
 
 class Condition:
     """The declared condition of one robot, and measurements of it."""
 
-    def __init__(
-        self,
-        declared: Record,
-        environment: Mapping[str, str],
-    ) -> None:
+    def __init__(self, declared: Record, environment: Mapping[str, str]) -> None:
         """`declared` has the keys of a `hello` (see `robot_agent`). `environment`: the variables of all commands."""
         self.battery: Sequence[str] | str | None = declared.get("battery")
         self.firmware: Sequence[str] | None = declared.get("firmware")
@@ -47,15 +42,15 @@ class Condition:
 
     def read(self, **sources: Callable[[], object]) -> Record:
         """Return values by name, and `unread`: why some of them are missing, by name."""
-        found: Record = {"unread": {}}
+        values: Record = {"unread": {}}
         for name, source in sources.items():
             try:
-                found[name] = source()
+                values[name] = source()
             except OSError as error:
-                found[name], found["unread"][name] = None, explain(error)
+                values[name], values["unread"][name] = None, explain(error)
             except ValueError as error:
-                found[name], found["unread"][name] = None, str(error)
-        return found
+                values[name], values["unread"][name] = None, str(error)
+        return values
 
     def failed_checks(self) -> list[str]:
         """Execute all checks at once, because each may wait for something; return a line for each one that has failed."""

@@ -34,7 +34,6 @@ LEFT_OUT = (".git", "__pycache__")
 MOST_FILES = 20_000
 LARGE = 16 << 20  # a larger file counts by its size and time, because hashing it takes too long before a run
 GIT_S = 10.0
-CHUNK = 1 << 20
 
 
 class Looker:
@@ -76,10 +75,10 @@ class Looker:
         """Return the description of a workspace."""
         parts = [folder] if os.path.basename(folder) not in BUILT else beside(folder)
         whole = hashlib.sha256()
-        found = [(part, path) for part in parts for path in files_of(part)]
-        if len(found) > MOST_FILES:
+        files = [(part, path) for part in parts for path in files_of(part)]
+        if len(files) > MOST_FILES:
             return "more than %d files" % MOST_FILES
-        for part, path in found:
+        for part, path in files:
             name = os.path.basename(part) + path[len(part) :]
             whole.update(os.fsencode("%s\0%s\n" % (name, self.content(path))))
         identity = whole.hexdigest()
@@ -133,12 +132,12 @@ def packages(status: bytes) -> Iterator[str]:
 def workspaces(environment: Mapping[str, str]) -> list[str]:
     """Return the folders of workspaces that an environment names, without those below others, and those of the system."""
     named = {os.path.realpath(folder) for name in PREFIXES for folder in environment.get(name, "").split(os.pathsep) if folder}
-    own = sorted(folder for folder in named if os.path.isdir(folder) and not any(is_below(folder, one) for one in SYSTEM))
+    own = sorted(folder for folder in named if os.path.isdir(folder) and not any(is_below(folder, other) for other in SYSTEM))
     roots = {os.path.dirname(folder) for folder in own if os.path.basename(folder) in BUILT[:2]}
     kept: list[str] = []
     for folder in own:
         covered = os.path.basename(folder) == BUILT[2] and os.path.dirname(folder) in roots
-        if not covered and not any(is_below(folder, one) for one in kept):
+        if not covered and not any(is_below(folder, other) for other in kept):
             kept.append(folder)
     return kept
 

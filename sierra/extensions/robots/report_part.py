@@ -1,4 +1,4 @@
-"""The parts of a report about robots: which ones executed the runs, their clocks and containers, and which were lost."""
+"""The part of a report about robots: which ones executed the runs, their clocks and containers, and which were lost."""
 
 from __future__ import annotations
 
@@ -70,17 +70,17 @@ def lines(state: BatchState, place: Place) -> Iterator[Markup]:
     """Yield the elements about the robots of a batch; nothing if it has none."""
     if not state.shown.spec.robots:
         return
-    found = state.store.select(_Robot, ROBOTS, b=state.id)
+    robots = state.store.select(_Robot, ROBOTS, b=state.id)
     yield element(place.inner, "Robots")
-    digits = [digits_apart(column, 3) for column in zip(*found[:SHOWN], strict=True)]
+    digits = [digits_apart(column, 3) for column in zip(*robots[:SHOWN], strict=True)]
     rows = [
-        tuple(short_number(value, many) if isinstance(value, float) else value for value, many in zip(one, digits, strict=True))
-        for one in found[:SHOWN]
+        tuple(short_number(value, many) if isinstance(value, float) else value for value, many in zip(row, digits, strict=True))
+        for row in robots[:SHOWN]
     ]
     yield filled_table(HEADERS, rows, "Robots of the executions that count", NUMBERS)
-    if len(found) > SHOWN:
-        yield note(f"The first {SHOWN} of {len(found)} robots are listed.")
-    if any(one.start_ms is not None for one in found):
+    if len(robots) > SHOWN:
+        yield note(f"The first {SHOWN} of {len(robots)} robots are listed.")
+    if any(row.start_ms is not None for row in robots):
         yield note("A start is off by the time from the common start to that of its program, by the submitting host's clock.")
     yield sql(ROBOTS, state.id)
     ended = state.store.select(_Ended, ENDED_OTHERWISE, b=state.id)

@@ -20,6 +20,8 @@ from typing import Any
 import pytest
 
 from sierra.containers import held_start
+from sierra.extensions.robots import agent as agent_programs
+from sierra.extensions.robots.agent.records import PROGRAM
 from sierra.util import worker_zip
 from sierra.worker import on_host
 from sierra.worker.processes import birth, marked, stat_of
@@ -43,7 +45,7 @@ class Driver:
     """The driver of one agent."""
 
     def __init__(self, program: Path, folder: Path, lock: str) -> None:
-        argv = [sys.executable, "-I", "-S", str(program), "robot_agent", str(folder), lock]
+        argv = [sys.executable, "-I", "-S", str(program), PROGRAM, str(folder), lock]
         self.process = subprocess.Popen(argv, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0)
         self.folder = folder
         folder.mkdir(exist_ok=True)
@@ -146,7 +148,7 @@ Start = Callable[..., Driver]
 def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the zip with the agent, as on a robot."""
     path = tmp_path_factory.mktemp("programs") / "worker.pyz"
-    path.write_bytes(worker_zip.packed())
+    path.write_bytes(worker_zip.packed(Path(agent_programs.__file__).parent))
     return path
 
 

@@ -1,4 +1,4 @@
-"""Replays of runs on robots: what is executed again, and what cannot be."""
+"""Members of replayed runs, which are robots: who may execute them again, and which other processors they had."""
 
 from __future__ import annotations
 
@@ -7,22 +7,13 @@ from typing import NamedTuple
 
 from sierra.config.project_file import LoadedProject
 from sierra.errors import Missing, UsageError
-from sierra.execution.on_robots import check_places
+from sierra.execution.members import check_places
 from sierra.execution.plan import session_step
 from sierra.runners.base import Runner, RunsMembers
 from sierra.store.store import Store
 from sierra.templates.base import Files
 from sierra.util.hashing import short
-from sierra.util.text import few
 
-NAMES = """
-SELECT DISTINCT robot FROM robots r JOIN executions e USING (execution)
-WHERE list_contains($runs, e.run) AND e.purpose = 'run' ORDER BY robot
-"""
-OPERATORS = """
-SELECT DISTINCT operator FROM all_trials t JOIN executions e USING (execution)
-WHERE list_contains($runs, e.run) AND operator IS NOT NULL ORDER BY operator
-"""
 PROCESSORS = """
 SELECT DISTINCT was.place, was.machine, now.machine AS found
 FROM robots was JOIN executions e USING (execution) JOIN executions f USING (run)
@@ -31,7 +22,6 @@ WHERE list_contains($recorded, e.execution) AND list_contains($made, f.execution
 ORDER BY ALL
 """
 """SQL: the places whose robots had another processor."""
-SHOWN = 5
 
 
 def check(runner: Runner, name: str, of: str, inputs: Iterable[Files], groups: Collection[str]) -> None:
@@ -66,15 +56,3 @@ def other_processors(store: Store, recorded: Collection[str], made: Collection[s
     """Return a note on each place whose robot had another processor in the executions `made` than in the recorded ones."""
     rows = store.select(_Processor, PROCESSORS, recorded=list(recorded), made=list(made))
     return [f"different processor at place {row.place}: was {row.machine}, is now {row.found}" for row in rows]
-
-
-def note(store: Store, runs: Collection[str], *, judged: bool) -> str:
-    """Return a note on what a replay of runs on robots shows. `judged`: metrics are compared statistically."""
-    names, operators = (store.values(str, text, runs=list(runs)) for text in (NAMES, OPERATORS))
-    robots = f"the robots ({few(names, SHOWN)})" if names else "the robots"
-    people = f" and their operator ({few(operators, SHOWN)})" if operators else " and their operator"
-    how = "" if judged else "; [equivalence] in sierra.toml says which metrics must be equivalent, and by which margin"
-    return (
-        f"{robots}{people}, their batteries, poses and surroundings cannot be replayed: the same code, commands and inputs are "
-        f"executed again, so other numbers are to be expected{how}"
-    )

@@ -302,6 +302,7 @@ def test_a_robot_without_an_output_and_an_invalid_trial_do_not_count(tmp_path: P
     ]
 
 
+@needs_extension("robots")
 @pytest.mark.integration
 def test_robots_that_have_changed_are_noted_and_stamps_of_set_clocks_are_missing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
