@@ -38,7 +38,7 @@ def cite(
     """
     from sierra.cli.open_project import project
 
-    found = project().metadata(write=write)
+    found = project().packages.metadata(write=write)
     if as_json:
         print_json(found)
     else:

@@ -103,7 +103,7 @@ def claims(
         _register(opened, as_json=as_json)
         return
     found: Sequence[Evaluated | Changed]
-    found = opened.claims(*(names or ())) if against is None else opened.claims_against(against, *(names or ()))
+    found = opened.claims.evaluate(*(names or ())) if against is None else opened.claims.against(against, *(names or ()))
     report(found, junit, as_json=as_json)
 
 
@@ -130,7 +130,7 @@ def cases(found: Iterable[Evaluated | Changed]) -> list[Case]:
 
 def _register(opened: Project, *, as_json: bool) -> None:
     """Record the claims, and print which are new; end with exit status 1 if one cannot be recorded."""
-    found = opened.register_claims()
+    found = opened.claims.register()
     rows = [(name, "registered now") for name in found.new] + [(name, "registered before") for name in found.known]
     rows += [(name, f"not registered: {reason}") for name, reason in found.refused.items()]
     if as_json:

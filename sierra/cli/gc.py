@@ -45,9 +45,9 @@ def gc(
 
     project = open_project.project()
     if dry_run:
-        found: Collection | None = project.collection(damaged=damaged, raw=raw)
+        found: Collection | None = project.maintenance.collection(damaged=damaged, raw=raw)
     else:
-        found = project.collect(
+        found = project.maintenance.collect(
             damaged=damaged,
             raw=raw,
             agree=lambda found: agreed(text(found), yes, as_json, "to be removed or merged"),

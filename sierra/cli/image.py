@@ -57,7 +57,7 @@ def build(
 
     opened, built = project(), []
     for name in recipes or (None,):
-        image = opened.build_image(name, network=network)
+        image = opened.images.build(name, network=network)
         built.append(image)
         if not as_json:
             called = str(tag(opened.root, image.name))
@@ -86,12 +86,12 @@ def import_(
     from sierra.cli.open_project import project
 
     opened = project()
-    found = opened.import_image(file, name)
+    found = opened.images.import_archive(file, name)
     if as_json:
         print_json(_contents(found))
         return
     print(f"{found.image.id}  {found.image.name}")
-    pinned = [one.name for one in opened.images() if one.state == "pinned" and one.id == found.image.id]
+    pinned = [one.name for one in opened.images.known() if one.state == "pinned" and one.id == found.image.id]
     print(f"pinned already: {', '.join(pinned)}" if pinned else f"next: sierra image pin {found.image.name}")
 
 
@@ -111,7 +111,7 @@ def export(
     """
     from sierra.cli.open_project import project
 
-    image = project().export_image(name, file)
+    image = project().images.export(name, file)
     if as_json:
         print_json({**asdict(image), "written": str(file)})
     else:
@@ -134,13 +134,13 @@ def pin(name: Name = None, as_json: AsJson = False) -> None:
     from sierra.cli.open_project import project
 
     opened = project()
-    pinned = opened.pin_all(name)
+    pinned = opened.images.pin_all(name)
     for found in pinned:
         _note_on(found)
         if not as_json:
             print(f"{found.image.id}  {found.image.name}: pinned in sierra.lock")
     if as_json:
-        print_json([_contents(found) for found in pinned] if ARCH in opened.image_name(name) else _contents(pinned[0]))
+        print_json([_contents(found) for found in pinned] if ARCH in opened.images.name(name) else _contents(pinned[0]))
 
 
 def _note_on(found: Contents) -> None:
@@ -170,7 +170,7 @@ def show(
     """
     from sierra.cli.open_project import project
 
-    found = project().image(name)
+    found = project().images.contents(name)
     shown = {**_contents(found), "programs": {word: _program(found, word) for word in programs or ()}}
     if as_json:
         print_json(shown)
@@ -194,7 +194,7 @@ def ls(as_json: AsJson = False) -> None:
     from sierra.cli.open_project import project
     from sierra.containers.images.image import short
 
-    known = project().images()
+    known = project().images.known()
     if as_json:
         print_json(known)
         return

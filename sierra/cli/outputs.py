@@ -49,8 +49,8 @@ def outputs(
 
     opened = project()
     if write:
-        found = opened.outputs(*(query or ()), target=target)
-        written = opened.declare_outputs(*(query or ()), target=target)
+        found = opened.records.outputs(*(query or ()), target=target)
+        written = opened.records.declare_outputs(*(query or ()), target=target)
         if as_json:
             print_json(written)
         else:
@@ -71,7 +71,7 @@ def outputs(
             for line in unread_lines(found.runs, [one for one in found.unread if one not in added]):
                 print(line)
         return
-    found = opened.outputs(*(query or ()), target=target)
+    found = opened.records.outputs(*(query or ()), target=target)
     if as_json:
         print_json(found)
     else:
