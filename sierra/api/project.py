@@ -11,7 +11,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Unpack
 
-from sierra.api.noun import noun, within_project
+from sierra.api.noun import FORMER, former_method, noun, within_project
 from sierra.api.options import observer_for, slots
 from sierra.config import current_project, find_project
 from sierra.errors import UsageError
@@ -24,16 +24,12 @@ if TYPE_CHECKING:
     from sierra.api.claims import Claims
     from sierra.api.comparisons import Comparisons
     from sierra.api.deliverables import Deliverables
+    from sierra.api.execution import Jobs, Plans, Studies
     from sierra.api.images import Images
-    from sierra.api.jobs import Jobs
-    from sierra.api.maintenance import Maintenance
     from sierra.api.options import ExecutionOptions, Settings
     from sierra.api.packages import Packages
     from sierra.api.paper import Paper
-    from sierra.api.plans import Plans
-    from sierra.api.records import Records
-    from sierra.api.sources import Sources
-    from sierra.api.studies import Studies
+    from sierra.api.records import Maintenance, Records, Sources
     from sierra.config import project_file
     from sierra.execution.list_batches import ListedBatch
     from sierra.execution.observer import Observer
@@ -60,9 +56,9 @@ class Project:
     'project'
     """
 
-    plans: Plans = noun()
-    studies: Studies = noun()
-    jobs: Jobs = noun()
+    plans: Plans = noun("execution")
+    studies: Studies = noun("execution")
+    jobs: Jobs = noun("execution")
     records: Records = noun()
     deliverables: Deliverables = noun()
     comparisons: Comparisons = noun()
@@ -70,8 +66,8 @@ class Project:
     paper: Paper = noun()
     packages: Packages = noun()
     images: Images = noun()
-    sources: Sources = noun()
-    maintenance: Maintenance = noun()
+    sources: Sources = noun("records")
+    maintenance: Maintenance = noun("records")
 
     def __init__(self, path: str | os.PathLike[str] = ".", *, received: bool = False) -> None:
         """Open the project that contains the folder `path`, or only the store there. Raises Missing if there is neither.
@@ -247,8 +243,7 @@ class Project:
         >>> project.execute(project.plan("population_size=1,2", runs=2), figures=False).executed
         0
         """
-        from sierra.api.plans import selection
-        from sierra.api.summaries import described, drawn
+        from sierra.api.execution import described, drawn, selection
         from sierra.execution import execute
         from sierra.execution.run_options import RunOptions
 
@@ -443,8 +438,6 @@ class Project:
     if not TYPE_CHECKING:  # so that a type checker reports former names, and names that do not exist
 
         def __getattr__(self, name: str) -> object:
-            from sierra.api import former
-
-            if name not in former.FORMER:
+            if name not in FORMER:
                 raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
-            return former.method(self, name)
+            return former_method(self, name)

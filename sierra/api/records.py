@@ -1,4 +1,4 @@
-"""Records: batches, experiments, runs, executions and sessions, by their ids."""
+"""Nouns about the store: records by their ids, sources that are shared through git, and maintenance."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 
 from sierra.api.noun import Noun
 from sierra.errors import ConfigError, Damaged, Missing, NotFound, UsageError
+from sierra.provenance import source
+from sierra.store.layout import StorePaths
 
 if TYPE_CHECKING:
     from sierra.config.output_tables import Key
@@ -20,8 +22,12 @@ if TYPE_CHECKING:
     from sierra.execution.shown_records import Shown, ShownClaim, ShownSession
     from sierra.explain.diff.compare import Comparison
     from sierra.explain.why_executed import Why
+    from sierra.maintenance.fsck import Report
+    from sierra.maintenance.gc import Collection
     from sierra.maintenance.remove import Removal
+    from sierra.maintenance.repair import Repair
     from sierra.provenance.commits_between import Known as CommitInRepository
+    from sierra.provenance.source.share_refs import Shared
     from sierra.store.export_recorded_files import Listing, Outcome
     from sierra.store.row_types import SourceRow
 
@@ -254,7 +260,7 @@ class Records(Noun):
         >>> [(table.name, table.rows) for table in project.records.outputs(summary.batch).tables]
         [('swarm', '5 rows')]
         """
-        from sierra.api.summaries import taken
+        from sierra.api.execution import taken
 
         return taken(self._project, self._asked(query, target), inside=True)
 
@@ -288,3 +294,77 @@ class Records(Noun):
         if not store.values(str, "SELECT batch FROM batches WHERE batch = $b", b=batch):
             raise NotFound(f"the query {' '.join(query)!r} has not been run with this project as it is; see sierra ls")
         return batch
+
+
+class Sources(Noun):
+    """Recorded sources, shared through git: `project.sources`."""
+
+    def push(self, remote: str | None = None) -> list[Shared]:
+        """Push the recorded sources, including submodules, to a git remote: see `sierra.provenance.source.share_refs`."""
+        self._check_git()
+        return source.share(self._project.root, "push", remote)
+
+    def fetch(self, remote: str | None = None) -> list[Shared]:
+        """Fetch the sources that others have pushed, including submodules: see `sierra.provenance.source.share_refs`."""
+        self._check_git()
+        return source.share(self._project.root, "fetch", remote)
+
+    def _check_git(self) -> None:
+        """Raise UsageError if the project's source is identified without git."""
+        if not self._project.config.source.git:
+            raise UsageError("[source] git = false: the store has the code, and git has none to share; remove the setting")
+
+
+class Maintenance(Noun):
+    """Checks, repairs and clean-up of the store: `project.maintenance`."""
+
+    def fsck(self, *, tell: Callable[[str], None] = lambda text: None) -> Report:
+        """Check all records and files: see `sierra.maintenance.fsck.Report`. `tell` receives the progress.
+
+        >>> project.maintenance.fsck().findings
+        ()
+        """
+        from sierra.maintenance import fsck
+
+        return fsck.check(StorePaths(self._project.paths.store), self._project.root, tell).report
+
+    def repair(self, *, dry_run: bool = False, tell: Callable[[str], None] = lambda text: None) -> Repair:
+        """Repair the store and check it: see `sierra.maintenance.repair`. Nothing is deleted.
+
+        >>> project.maintenance.repair(dry_run=True).done
+        ()
+        """
+        from sierra.maintenance import repair
+
+        return repair.repair(StorePaths(self._project.paths.store), self._project.root, dry_run=dry_run, tell=tell)
+
+    def collection(self, *, damaged: bool = False, raw: bool = False) -> Collection:
+        """Return what `collect` would remove: see `sierra.maintenance.gc.Collection`.
+
+        >>> project.maintenance.collection().sessions
+        0
+        """
+        from sierra.maintenance import gc
+
+        return gc.plan(self._store, self._project.root, damaged=damaged, raw=raw)
+
+    def collect(
+        self,
+        *,
+        damaged: bool = False,
+        raw: bool = False,
+        agree: Callable[[Collection], bool] = lambda collection: True,
+        observer: Observer | None = None,
+    ) -> Collection | None:
+        """Remove unneeded files and merge small segments, if `agree` returns true for the preview; otherwise return None.
+
+        `damaged`: also remove segments that a repair put aside; `raw`: also remove the bytes of files that became tables.
+        `observer` receives a notice about each session that cannot be recorded. Raises Missing if the disk is full; then
+        nothing is lost.
+
+        >>> project.maintenance.collect(agree=lambda collection: False) is None or project.maintenance.collection().nothing
+        True
+        """
+        from sierra.maintenance import gc
+
+        return gc.collect(self._store, self._project.root, damaged=damaged, raw=raw, agree=agree, observer=observer)

@@ -15,7 +15,7 @@ import duckdb
 import pytest
 
 import sierra
-from sierra.api.former import FORMER
+from sierra.api.noun import FORMER
 from sierra.errors import UsageError
 from sierra.execution import progress_display
 from sierra.execution.observer import Progress
