@@ -29,7 +29,7 @@ def attach(
     chosen = open_project.last_on_cluster(project) if prefix is None else prefix
     drawn = user.load().figures if figures is None else figures
     with watching(quiet=as_json) as display:
-        summary = project.attach(chosen, figures=drawn, observer=display)
+        summary = project.jobs.attach(chosen, figures=drawn, observer=display)
     if as_json:
         render_summary.print_notes(summary)
         print_json(render_summary.answer(project, summary, {}))

@@ -54,7 +54,7 @@ def set_(
     """
     from sierra.cli.open_project import project
 
-    path, kept, left = project().set_baseline(name, *(words or ()))
+    path, kept, left = project().claims.set_baseline(name, *(words or ()))
     if left:
         note(f"left out, because no batch decides them: {', '.join(left)}")
     print(f"{from_here(path)}: baseline {name} with {counted(len(kept), 'claim')}")

@@ -30,7 +30,7 @@ def cancel(
 
     project = open_project.project()
     chosen = open_project.last_on_cluster(project, only=True) if prefix is None else prefix
-    done = project.cancel(chosen, observer=Display())
+    done = project.jobs.cancel(chosen, observer=Display())
     if as_json:
         print_json(done)
         return

@@ -38,7 +38,7 @@ def cite(
     """
     from sierra.cli.open_project import project
 
-    metadata = project().metadata(write=write)
+    metadata = project().packages.metadata(write=write)
     if as_json:
         print_json(metadata)
     else:

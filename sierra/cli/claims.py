@@ -103,7 +103,7 @@ def claims(
         _register(opened, as_json=as_json)
         return
     evaluated: Sequence[Evaluated | Changed]
-    evaluated = opened.claims(*(names or ())) if against is None else opened.claims_against(against, *(names or ()))
+    evaluated = opened.claims.evaluate(*(names or ())) if against is None else opened.claims.against(against, *(names or ()))
     report(evaluated, junit, as_json=as_json)
 
 
@@ -130,7 +130,7 @@ def cases(found: Iterable[Evaluated | Changed]) -> list[Case]:
 
 def _register(opened: Project, *, as_json: bool) -> None:
     """Record the claims, and print which are new; end with exit status 1 if one cannot be recorded."""
-    registered = opened.register_claims()
+    registered = opened.claims.register()
     rows = [(name, "registered now") for name in registered.new] + [(name, "registered before") for name in registered.known]
     rows += [(name, f"not registered: {reason}") for name, reason in registered.refused.items()]
     if as_json:

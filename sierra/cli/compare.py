@@ -162,9 +162,9 @@ def compare(
             raise UsageError(f"sierra.toml declares the comparison {names[0]!r}; leave out {options}, or change it there")
         if len(names) > 2:
             raise UsageError(f"the comparison {names[0]!r} takes one batch at most, not {len(names) - 1}")
-        compared = opened.compare_declared(*names)
+        compared = opened.comparisons.declared(*names)
     else:
-        compared = opened.compare(
+        compared = opened.comparisons.make(
             *names,
             by=_list(by),
             groups=_list(groups),
@@ -186,7 +186,7 @@ def compare(
         note(text)
     if format in PAPER:
         folder = None if file is None else file.parent
-        text = opened.paper_comparison(compared, format.value, figures=drawn, folder=folder, caption=caption, label=label)
+        text = opened.comparisons.text(compared, format.value, figures=drawn, folder=folder, caption=caption, label=label)
         write_text(text, file)
     else:
         _show(compared, Format(format.value), file, drawn, as_json=as_json, long=long)
@@ -261,7 +261,7 @@ def _print_table(compared: Compared) -> None:
 def _drawn(opened: Project, found: Compared) -> tuple[list[Path], str]:
     """Return the files of the figure, or the reason why there is none."""
     try:
-        return opened.draw_comparison(found), ""
+        return opened.comparisons.draw(found), ""
     except (UsageError, Missing) as error:
         return [], str(error)
 

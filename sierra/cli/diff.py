@@ -73,7 +73,7 @@ def diff(
     if PACKAGED.fullmatch(before) or PACKAGED.fullmatch(after):
         _packages(before, after, as_json=as_json)
         return
-    answer = project().diff(before, after)
+    answer = project().records.diff(before, after)
     if as_json:
         print_json(_answer(answer))
     else:
@@ -98,7 +98,7 @@ def _packages(before: str, after: str, *, as_json: bool) -> None:
         sides = [differences.of_package(open_package(Path(path))) for path in (before, after)]
         answer = differences.compare(*sides)
     else:
-        answer = project().diff_packages(before, after)
+        answer = project().packages.diff(before, after)
     if as_json:
         print_json(answer)
     else:

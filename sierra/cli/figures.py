@@ -90,19 +90,19 @@ def figures(
     if check:
         if names or len(batches) > 1:
             raise UsageError("--check checks all figures of one batch; leave out anything else")
-        _check(opened.check_figures(opened.batch(prefix, target=target)), as_json=as_json)
+        _check(opened.deliverables.check(opened.records.batch(prefix, target=target)), as_json=as_json)
         return
     if len(batches) > 1 and target is not None:
         raise UsageError("--target chooses batches; leave it out, or the batches")
     paths, notes = list[Path](), list[str]()
     for name in names or (None,):
         if len(batches) > 1:
-            drawn = opened.draw_batches(*batches, name=name, formats=wanted)
+            drawn = opened.deliverables.draw_batches(*batches, name=name, formats=wanted)
         elif target is not None and "," in target:
-            drawn = opened.draw_together(target.split(","), prefix, name, formats=wanted)
+            drawn = opened.deliverables.draw_targets(target.split(","), prefix, name, formats=wanted)
         else:
-            batch = opened.batch(prefix, target=target) if prefix is not None or target is not None else None
-            drawn = opened.draw(batch, name, formats=wanted)
+            batch = opened.records.batch(prefix, target=target) if prefix is not None or target is not None else None
+            drawn = opened.deliverables.draw(batch, name, formats=wanted)
         paths += drawn[0]
         notes += (text for text in drawn[1] if text not in notes)
     print_files(paths, notes, as_json=as_json)

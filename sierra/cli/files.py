@@ -71,7 +71,7 @@ def files(
         raise UsageError(f"{besides[0].option} needs --to FOLDER")
     opened = project()
     listed = listing(
-        opened.store, opened.record_id(given_or_last(prefix, opened)), paths or (), check=to is None and (as_json or not paths)
+        opened.store, opened.records.id(given_or_last(prefix, opened)), paths or (), check=to is None and (as_json or not paths)
     )
     if to is not None:
         outcomes = list(extract(opened.store, listed, to))

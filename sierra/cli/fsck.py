@@ -44,10 +44,10 @@ def fsck(
     done: tuple[str, ...] = ()
     with telling(quiet=as_json) as tell:
         if repair or dry_run:
-            repaired = project.repair(dry_run=dry_run, tell=tell)
+            repaired = project.maintenance.repair(dry_run=dry_run, tell=tell)
             report, done = repaired.report, repaired.done
         else:
-            report = project.fsck(tell=tell)
+            report = project.maintenance.fsck(tell=tell)
     if as_json:
         print_json({"repaired": list(done), **_report(report)})
     else:

@@ -45,9 +45,9 @@ def gc(
 
     project = open_project.project()
     if dry_run:
-        collection: Collection | None = project.collection(damaged=damaged, raw=raw)
+        collection: Collection | None = project.maintenance.collection(damaged=damaged, raw=raw)
     else:
-        collection = project.collect(
+        collection = project.maintenance.collect(
             damaged=damaged,
             raw=raw,
             agree=lambda planned: agreed(text(planned), yes, as_json, "to be removed or merged"),

@@ -57,7 +57,7 @@ def build(
 
     opened, built = project(), []
     for name in recipes or (None,):
-        image = opened.build_image(name, network=network)
+        image = opened.images.build(name, network=network)
         built.append(image)
         if not as_json:
             called = str(tag(opened.root, image.name))
@@ -86,12 +86,12 @@ def import_(
     from sierra.cli.open_project import project
 
     opened = project()
-    imported = opened.import_image(file, name)
+    imported = opened.images.import_archive(file, name)
     if as_json:
         print_json(_contents(imported))
         return
     print(f"{imported.image.id}  {imported.image.name}")
-    pinned = [image.name for image in opened.images() if image.state == "pinned" and image.id == imported.image.id]
+    pinned = [image.name for image in opened.images.known() if image.state == "pinned" and image.id == imported.image.id]
     print(f"pinned already: {', '.join(pinned)}" if pinned else f"next: sierra image pin {imported.image.name}")
 
 
@@ -111,7 +111,7 @@ def export(
     """
     from sierra.cli.open_project import project
 
-    image = project().export_image(name, file)
+    image = project().images.export(name, file)
     if as_json:
         print_json({**asdict(image), "written": str(file)})
     else:
@@ -134,13 +134,13 @@ def pin(name: Name = None, as_json: AsJson = False) -> None:
     from sierra.cli.open_project import project
 
     opened = project()
-    pinned = opened.pin_all(name)
+    pinned = opened.images.pin_all(name)
     for contents in pinned:
         _note_on(contents)
         if not as_json:
             print(f"{contents.image.id}  {contents.image.name}: pinned in sierra.lock")
     if as_json:
-        print_json([_contents(contents) for contents in pinned] if ARCH in opened.image_name(name) else _contents(pinned[0]))
+        print_json([_contents(contents) for contents in pinned] if ARCH in opened.images.name(name) else _contents(pinned[0]))
 
 
 def _note_on(found: Contents) -> None:
@@ -170,7 +170,7 @@ def show(
     """
     from sierra.cli.open_project import project
 
-    contents = project().image(name)
+    contents = project().images.contents(name)
     shown = {**_contents(contents), "programs": {word: _program(contents, word) for word in programs or ()}}
     if as_json:
         print_json(shown)
@@ -194,7 +194,7 @@ def ls(as_json: AsJson = False) -> None:
     from sierra.cli.open_project import project
     from sierra.containers.images.image import short
 
-    known = project().images()
+    known = project().images.known()
     if as_json:
         print_json(known)
         return

@@ -39,7 +39,7 @@ def import_(
     from sierra.cli.open_project import project
     from sierra.cli.progress import Display
 
-    done = project().import_package(package, observer=Display())
+    done = project().packages.import_records(package, observer=Display())
     if as_json:
         print_json(done)
     else:

@@ -55,7 +55,7 @@ def inputs(
     answers: dict[str, object] = {}
     for plan in plans:
         folder = to / (plan.target or "") if len(plans) > 1 else to
-        written = project.write_inputs(plan, folder, only=only)
+        written = project.plans.write_inputs(plan, folder, only=only)
         answers[plan.target or ""] = written
         if as_json:
             continue

@@ -45,7 +45,7 @@ def models(
     from sierra.cli.open_project import project
 
     opened = project()
-    errors = opened.model_errors(opened.batch(prefix, target=target), name)
+    errors = opened.deliverables.model_errors(opened.records.batch(prefix, target=target), name)
     write(Printable.of_arrow(errors.table), Format.json if as_json else format, file)
     for called, reason in errors.failed.items():
         note(f"model {called} has no prediction: {reason}")

@@ -75,7 +75,7 @@ def given_or_last(word: str | None, opened: Project) -> str:
 
     Raises Missing if no batch is recorded.
     """
-    return _noted(opened.batch()) if word is None else word
+    return _noted(opened.records.batch()) if word is None else word
 
 
 def last_on_cluster(opened: Project, *, only: bool = False) -> str:

@@ -49,8 +49,8 @@ def outputs(
 
     opened = project()
     if write:
-        taken = opened.outputs(*(query or ()), target=target)
-        written = opened.declare_outputs(*(query or ()), target=target)
+        taken = opened.records.outputs(*(query or ()), target=target)
+        written = opened.records.declare_outputs(*(query or ()), target=target)
         if as_json:
             print_json(written)
         else:
@@ -71,7 +71,7 @@ def outputs(
             for line in unread_lines(taken.runs, [kind for kind in taken.unread if kind not in added]):
                 print(line)
         return
-    taken = opened.outputs(*(query or ()), target=target)
+    taken = opened.records.outputs(*(query or ()), target=target)
     if as_json:
         print_json(taken)
     else:

@@ -131,7 +131,7 @@ def package(
     opened = project()
     packed_batches = batches or ([] if claims else [given_or_last(None, opened)])
     try:
-        packed = opened.package(
+        packed = opened.packages.pack(
             *packed_batches,
             path=output,
             claims=claims,

@@ -55,14 +55,14 @@ def paper(
     if check:
         _check(opened, as_json=as_json)
         return
-    plans = list({(plan.batch.id, plan.target): plan for plan in map(opened.resolve, opened.paper_queries())}.values())
+    plans = list({(plan.batch.id, plan.target): plan for plan in map(opened.plans.resolve, opened.paper.queries())}.values())
     for plan in plans:
         plan.check_programs()
     if dry_run:
         _preview(opened, plans, as_json=as_json)
         return
     failed = _execute(opened, plans, runner, jobs, quiet=as_json)
-    written = opened.paper()
+    written = opened.paper.write()
     for path in written.edited:
         note(f"{from_here(path)} was edited, and is left as it is; remove it to have it made again")
     if as_json:
@@ -124,7 +124,7 @@ def _preview(project: Project, plans: list[Plan], *, as_json: bool) -> None:
 def _check(project: Project, *, as_json: bool) -> None:
     """Print one line for each fault; end with exit status 1 if there is one."""
     stored = project.stored() is not None
-    faults = project.check_paper()
+    faults = project.paper.check()
     if not stored:
         note("there is no store here: the files are compared with provenance.json alone")
     if as_json:

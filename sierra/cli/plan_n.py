@@ -87,13 +87,13 @@ def plan_n(
         given = [name for name, value in {"--difference": difference, **options}.items() if value is not None]
         if given or len(words or ()) > 1:
             raise UsageError(f"--half-width is about one mean; leave out {given[0] if given else 'the second batch'}")
-        needed = project().runs_needed(
+        needed = project().studies.runs_needed(
             *(words or ()), half_width=half_width, column=column, table=table, measure=reduction, threshold=threshold
         )
     elif difference is None and not by and len(words or ()) < 2:
         raise UsageError("name --half-width W, or what to compare: --difference D, a second batch, or --by VARIABLE")
     else:
-        needed = project().runs_for_power(
+        needed = project().studies.runs_for_power(
             *(words or ()),
             difference=difference,
             power=0.8 if power is None else power,

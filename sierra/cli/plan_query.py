@@ -33,7 +33,7 @@ def plans(
         return [plan(project, query, settings, engine=engine, observer=observer)]
     if query[0].endswith(query_request.SUFFIX):
         raise UsageError(f'{query[0]} is a complete request; leave out --target, and write "target" into the file')
-    return project.plans(*query, **settings, targets=targets.split(","), engine=engine, observer=observer)
+    return project.plans.of_targets(*query, **settings, targets=targets.split(","), engine=engine, observer=observer)
 
 
 def plan(project: Project, query: list[str], settings: Settings, *, engine: str | None, observer: Observer) -> Plan:
@@ -51,7 +51,7 @@ def plan(project: Project, query: list[str], settings: Settings, *, engine: str 
             f"{query[0]} is a complete request; leave out other criteria, --runs, --controller, --scenario and --set"
         )
     recorded = query_request.read(Path(query[0]))
-    planned = project.resolve(recorded.request, engine=engine, observer=observer)
+    planned = project.plans.resolve(recorded.request, engine=engine, observer=observer)
     if recorded.batch not in (None, planned.batch.id):
         inside = Path(query[0]).resolve().is_relative_to(project.root)
         hint = " (the file is part of its source: move it elsewhere, or let git ignore it)" if inside else ""

@@ -33,12 +33,12 @@ def print_notes(summary: Summary, printed: Collection[str] = ()) -> None:
 def print_text(project: Project, summary: Summary, printed: Collection[str] = ()) -> None:
     """Print a summary for people; `printed` are notes that were printed before."""
     print_notes(summary, printed)
-    _print(summary, project.left(summary))
+    _print(summary, project.jobs.left(summary))
 
 
 def answer(project: Project, summary: Summary, more: Mapping[str, object]) -> dict[str, object]:
     """Return a summary for JSON, together with `more`."""
-    return {**_answer(summary), "detached": [_left(one) for one in project.left(summary)], **more}
+    return {**_answer(summary), "detached": [_left(one) for one in project.jobs.left(summary)], **more}
 
 
 def leave(summaries: Sequence[Summary], *, detached: bool = False) -> None:

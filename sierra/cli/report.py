@@ -76,7 +76,7 @@ def _written(words: list[str], to: Path | None, tell: Callable[[str], None], *, 
     if not any(word.endswith(PACKAGED) for word in words):
         from sierra.cli.open_project import project
 
-        return project().report(*words, every=every, to=to, tell=tell)
+        return project().deliverables.report(*words, every=every, to=to, tell=tell)
     if len(words) > 1 or every:
         raise UsageError("name one package alone: its report has all its batches")
     from sierra.api import report_package

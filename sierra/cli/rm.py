@@ -52,9 +52,9 @@ def rm(
 
     project = open_project.project()
     if dry_run:
-        removal: Removal | None = project.removal(*prefixes)
+        removal: Removal | None = project.records.removal(*prefixes)
     else:
-        removal = project.remove(*prefixes, agree=agree, observer=Display())
+        removal = project.records.remove(*prefixes, agree=agree, observer=Display())
     if removal is None:
         print("nothing was deleted")
         raise typer.Exit(1)

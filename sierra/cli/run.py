@@ -225,8 +225,8 @@ def _until(
     if options.detach or options.only is not None:
         name, why = ("--detach", "waits for each look") if options.detach else ("--only", "needs all experiments")
         raise UsageError(f"--until {why}; leave out {name}")
-    plan = project.resolve(run_until.request(project, query, settings, target), engine=engine, observer=observer)
-    planned = project.planned_study(plan, until=until, max_runs=max_runs)
+    plan = project.plans.resolve(run_until.request(project, query, settings, target), engine=engine, observer=observer)
+    planned = project.studies.planned(plan, until=until, max_runs=max_runs)
     if options.dry_run or options.explain:
         run_until.show_plan(planned, json=options.as_json)
         look = run_until.next_look(project, plan, planned)
@@ -238,7 +238,7 @@ def _until(
             return
     _check(project, plan, options)
     with watching(quiet=options.as_json or session_step(plan.project) is not None) as display:
-        outcome = project.study(
+        outcome = project.studies.run(
             plan,
             until=until,
             max_runs=max_runs,
@@ -264,7 +264,7 @@ def _run(project: Project, plan: Plan, options: Options) -> tuple[Summary | None
     more: dict[str, object] = {}
     state = plan.build
     if not options.dry_run:
-        plan = project.build(plan, observer=Display())
+        plan = project.plans.build(plan, observer=Display())
     if options.dry_run or options.explain:
         preview = _preview(project, plan, selection, build(state, dry_run=options.dry_run) if state else None, options)
         if options.dry_run:
@@ -304,7 +304,7 @@ def _together(project: Project, plans: Sequence[Plan], summaries: Sequence[Summa
     from sierra.cli.figures import from_here
 
     try:
-        paths, notes = project.draw_together([plan.target or "" for plan in plans], plans[0].batch.id)
+        paths, notes = project.deliverables.draw_targets([plan.target or "" for plan in plans], plans[0].batch.id)
     except SierraError as error:
         paths, notes = [], [f"the targets are not drawn together: {error}"]
     for text in notes:
@@ -334,7 +334,7 @@ def _preview(project: Project, plan: Plan, selection: Selection | None, built: s
     other = explain and not plan.lacking and has_other_files(reasons)
     if new or other:
         from sierra.explain.why_new_runs import other_programs, why_new
-    proposal = project.proposal(plan, project.runner_of(plan, options.runner), detach=options.detach, runs=runs)
+    proposal = project.plans.estimate(plan, project.plans.runner(plan, options.runner), detach=options.detach, runs=runs)
     preview = PlanPreview(
         request=plan.request,
         batch=plan.batch.id,
@@ -400,8 +400,8 @@ def _check(project: Project, plan: Plan, options: Options) -> None:
     """Check what can be known before the first of several batches executes. Raises SierraError."""
     _check_log(plan)
     plan.check_programs()
-    project.runner_of(plan, options.runner, detach=options.detach, jobs=options.jobs)
-    project.check_attended(plan, options.only)
+    project.plans.runner(plan, options.runner, detach=options.detach, jobs=options.jobs)
+    project.plans.check_attended(plan, options.only)
 
 
 def _check_log(plan: Plan) -> None:

@@ -62,7 +62,7 @@ def next_look(project: Project, plan: Plan, outcome: Outcome) -> Plan:
     runs = outcome.design.schedule[done if outcome.decision == "continue" else max(done - 1, 0)]
     if done == 0 or runs == outcome.design.schedule[0]:
         return plan
-    return project.resolve(plan.request.model_copy(update={"runs": runs}), engine=plan.engine.name)
+    return project.plans.resolve(plan.request.model_copy(update={"runs": runs}), engine=plan.engine.name)
 
 
 def finish(project: Project, outcome: Outcome, *, json: bool) -> None:

@@ -109,10 +109,10 @@ def show(
         files(prefix, paths, to, as_json)
         return
     if prefix is not None and (os.sep in prefix or "." in prefix) and Path(prefix).exists():
-        _print_deliverable(project().deliverable(prefix), long=long, as_json=as_json)
+        _print_deliverable(project().deliverables.find(prefix), long=long, as_json=as_json)
         return
     opened = project()
-    shown = opened.show(given_or_last(prefix, opened))
+    shown = opened.records.show(given_or_last(prefix, opened))
     record = shown.as_dict()
     if as_json:
         print_json(record)

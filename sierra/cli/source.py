@@ -43,7 +43,7 @@ def push(remote: Remote = None, as_json: AsJson = False) -> None:
     """
     from sierra.cli.open_project import project
 
-    _tell(project().push_sources(remote), "pushed to", as_json=as_json)
+    _tell(project().sources.push(remote), "pushed to", as_json=as_json)
 
 
 @app.command(cls=lazy_parameters.Command)
@@ -59,7 +59,7 @@ def fetch(remote: Remote = None, as_json: AsJson = False) -> None:
     """
     from sierra.cli.open_project import project
 
-    _tell(project().fetch_sources(remote), "fetched from", as_json=as_json)
+    _tell(project().sources.fetch(remote), "fetched from", as_json=as_json)
 
 
 def _tell(shared: list[Shared], what: str, *, as_json: bool) -> None:

@@ -63,7 +63,7 @@ def sql(
     from sierra.cli.open_project import project
 
     opened = project()
-    within = None if batch is None else opened.batch(batch)
+    within = None if batch is None else opened.records.batch(batch)
     if statement is None:
         from sierra.cli.sql_prompt import prompt
 

@@ -167,7 +167,7 @@ def stats(
         raise UsageError("--caption and --label need a table for papers: --format latex, markdown or html")
     opened = project()
     table = opened.statistics(
-        opened.batch(batch, target=target),
+        opened.records.batch(batch, target=target),
         output,
         column,
         measure=reduced,
@@ -177,7 +177,7 @@ def stats(
         where=where,
     )
     if format in PAPER:
-        write_text(opened.paper_table(table, format.value, caption=caption, label=label), file)
+        write_text(opened.paper.table(table, format.value, caption=caption, label=label), file)
     else:
         shown = table.with_labels() if format is Shown.table and isinstance(table, StatisticsResult) else table
         write(Printable.of_arrow(shown.arrow), Format(format.value), file)

@@ -37,7 +37,7 @@ def status(
     from sierra.cli import open_project, render_status
     from sierra.cli.progress import Display
 
-    sessions = open_project.project().status(prefix, observer=Display())
+    sessions = open_project.project().jobs.status(prefix, observer=Display())
     if as_json:
         print_json(sessions)
     elif sessions:

@@ -36,7 +36,7 @@ def why(
     from sierra.cli.open_project import given_or_last, project
 
     opened = project()
-    answer = opened.why(given_or_last(prefix, opened))
+    answer = opened.records.why(given_or_last(prefix, opened))
     if as_json:
         print_json(_answer(answer))
     else:

@@ -1,6 +1,6 @@
 """The project that a command, or a method of the Python interface, works on: the names of plug-ins in its files count.
 
-Each method of `sierra.api.Project` is within its project. Nothing is read or imported for that until a name is looked up.
+Each method of `sierra.api.Project` and its nouns is within its project. Nothing is read or imported until a name is looked up.
 """
 
 from __future__ import annotations

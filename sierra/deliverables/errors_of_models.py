@@ -32,7 +32,7 @@ class ModelErrors:
     """The deviations of models from the data."""
 
     table: pa.Table
-    """A row for each model and experiment: see `sierra.api.Project.model_errors`. The metadata have notes."""
+    """A row for each model and experiment: see `sierra.api.deliverables.Deliverables.model_errors`. The metadata have notes."""
     failed: Mapping[str, str]
     """The models without a prediction for the batch, and why in one line."""
 

@@ -69,7 +69,7 @@ def unpacked(folder: Path, query: str, runs: int, *, grown: int = 0, anonymous: 
     root = projects.make(folder / "project", projects.CONFIG + TOML)
     batch = sierra.open(root).run(query, runs=runs, figures=False).batch
     batch = large_stores.grow(root, batch, grown) if grown else batch
-    sierra.open(root).package(batch, path=folder / "x.zip", anonymous=anonymous)
+    sierra.open(root).packages.pack(batch, path=folder / "x.zip", anonymous=anonymous)
     with zipfile.ZipFile(folder / "x.zip") as file:
         file.extractall(folder / "x")
     return folder / "x"

@@ -80,7 +80,7 @@ def test_an_index_has_all_rows_whatever_the_name_of_its_folder(
         monkeypatch.setattr(index_files, "IN_MEMORY", in_memory)
         assert answers(root) == without
         assert not unindexed(root)
-        assert not sierra.open(root).fsck().findings
+        assert not sierra.open(root).maintenance.fsck().findings
 
 
 def test_an_index_that_would_lack_rows_is_not_built(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -117,9 +117,9 @@ def test_an_index_that_cannot_be_removed_stops_a_removal_before_its_segments_are
     index_builder.keep_up(paths_of(project), 1)
     assert list((project / ".sierra" / "segments").glob(f"{batch[:12]}-*"))
     subprocess.run(["umount", "--lazy", paths_of(project).index], check=True)
-    sierra.open(project).collect()
+    sierra.open(project).maintenance.collect()
     assert not any(batch.encode() in path.read_bytes() for path in paths_of(project).index.iterdir())
-    assert sierra.open(project).fsck().sound
+    assert sierra.open(project).maintenance.fsck().sound
 
 
 def test_a_full_disk_leaves_no_part_of_an_index(project: Path, disk: Callable[[Path, str], Path]) -> None:

@@ -24,9 +24,9 @@ project = sierra.open(sys.argv[1])
 for step in range(int(sys.argv[2])):
     batch = project.run(f"noise=0.{step + 11}", runs=1, figures=False).batch
     if step % 2:
-        project.remove(batch)
+        project.records.remove(batch)
     if step % 3 == 0:
-        project.collect()
+        project.maintenance.collect()
 """
 BUILDER = """
 import sys
@@ -69,7 +69,7 @@ def test_answers_are_the_same_while_others_write(recorded: Path, tmp_path: Path,
         assert writer.returncode == 0, writer.stderr.read()
     assert compared
     assert len(used) > 1
-    assert sierra.open(root).fsck().sound
+    assert sierra.open(root).maintenance.fsck().sound
 
 
 def test_two_builders_at_once_both_succeed(recorded: Path, tmp_path: Path) -> None:
@@ -81,4 +81,4 @@ def test_two_builders_at_once_both_succeed(recorded: Path, tmp_path: Path) -> No
         assert [one.wait() for one in both] == [0, 0]
     assert index_files.published(store.paths.index)
     assert answers(store) == without
-    assert sierra.open(root).fsck().sound
+    assert sierra.open(root).maintenance.fsck().sound

@@ -40,4 +40,4 @@ def test_copies_have_the_same_files_columns_and_numbers_of_rows_as_batches_that_
     counts = "SELECT count(*), count(DISTINCT run), sum(executions), count(DISTINCT status) FROM runs"
     assert sierra.open(copied).sql(counts).to_pylist() == project.sql(counts).to_pylist()
     for root in (executed, copied):
-        assert sierra.open(root).fsck().findings == ()
+        assert sierra.open(root).maintenance.fsck().findings == ()

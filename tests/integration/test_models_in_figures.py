@@ -86,8 +86,8 @@ def test_times_in_seconds_are_those_of_the_data(root: Path) -> None:
     config = projects.CONFIG + SCENARIOS + MODELS + FIGURES
     (root / "sierra.toml").write_text(config + "[outputs.swarm]\nfile = 'swarm.csv'\ntime = 'tick'\nticks_per_second = 2\n")
     project = sierra.open(root)
-    with BatchData(project.store, project.batch()) as frame:
-        drawing = Gallery(project._loaded, project.store, frame).drawing("timeseries", project.config.figures["timeseries"])
+    with BatchData(project.store, project.records.batch()) as frame:
+        drawing = Gallery(project.loaded, project.store, frame).drawing("timeseries", project.config.figures["timeseries"])
     (model,) = drawing.models
     assert model.table.column("t").to_pylist() == drawing.tables["coverage"].column("t").to_pylist()
     assert model.table.column("t").to_pylist()[:3] == [0, 0.5, 1]

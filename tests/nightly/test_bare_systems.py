@@ -63,7 +63,7 @@ def inside(root: Path, package: Path, *options: str) -> tuple[int, str]:
 def test_python_alone_reaches_levels_1_and_2(bare: Path, tmp_path: Path) -> None:
     root = projects.commit(projects.make(tmp_path / "project", projects.CONFIG + TOML))
     batch = sierra.open(root).run("population_size=1,2", figures=False).batch
-    sierra.open(root).package(batch, report=False, path=tmp_path / "plain.zip")
+    sierra.open(root).packages.pack(batch, report=False, path=tmp_path / "plain.zip")
     status, printed = inside(bare, tmp_path / "plain.zip", "--execute", "--yes")
     assert (status, "LEVEL 2: 4 of 4 runs executed again: 4 identical" in printed) == (0, True), printed
     shutil.move(tmp_path / "plain.zip", tmp_path / "checked.zip")
@@ -82,7 +82,7 @@ def test_the_mujoco_example_is_reproduced_with_the_wheels_of_its_package(bare: P
     python = subprocess.run(
         ["chroot", bare, "python3", "-c", version], capture_output=True, text=True, check=True
     ).stdout.strip()
-    assert sierra.open(root).package(batch, report=False, path=tmp_path / "swarm.zip", wheels=True, pythons=[python])
+    assert sierra.open(root).packages.pack(batch, report=False, path=tmp_path / "swarm.zip", wheels=True, pythons=[python])
     status, printed = inside(bare, tmp_path / "swarm.zip", "--execute", "--yes")
     assert "identical (4 of 4 runs executed again)" in printed, printed
     assert "re-executed (4 of 4 runs executed again)" in printed

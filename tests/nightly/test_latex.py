@@ -84,8 +84,8 @@ def tables(tmp_path_factory: pytest.TempPathFactory) -> Path:
     project = sierra.open(root)
     batch = project.run("population_size=1,2,4", "noise=0.1,0.5", runs=8).batch
     for by in ("population_size", "noise", "population_size,noise"):
-        compared = project.compare(batch, by=by.split(","), column="coverage")
-        text = project.paper_comparison(compared, "latex", caption="Differences of coverage")
+        compared = project.comparisons.make(batch, by=by.split(","), column="coverage")
+        text = project.comparisons.text(compared, "latex", caption="Differences of coverage")
         (root / "figures" / batch[:10] / f"by_{by.replace(',', '_and_')}.tex").write_text(text)
     return root / "figures" / batch[:10]
 

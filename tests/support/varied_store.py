@@ -88,11 +88,11 @@ def make(folder: Path, after: Callable[[Path], None] = lambda root: None) -> Pat
     project = sierra.open(root)
     batch = sierra.open(other).run("population_size=2,3", "noise=0.75", figures=False).batch
     package = other / "package.zip"
-    sierra.open(other).package(batch, report=False, path=package)
+    sierra.open(other).packages.pack(batch, report=False, path=package)
     after(other)
-    project.import_package(package)
+    project.packages.import_records(package)
     after(root)
-    project.remove(removed)
+    project.records.remove(removed)
     shutil.rmtree(other)
     return root
 

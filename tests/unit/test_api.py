@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import doctest
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -14,17 +15,21 @@ import duckdb
 import pytest
 
 import sierra
+from sierra.api.noun import FORMER
 from sierra.errors import UsageError
 from sierra.execution import progress_display
 from sierra.execution.observer import Progress
 from tests import projects
 from tests.support.characters import MIXED, SHOWN
+from tests.support.pages import DOCS
 
 WITHOUT_EXAMPLE = {
-    *("pin", "pin_all", "build_image", "import_image", "export_image", "image", "images"),  # need a container image
-    *("push_sources", "fetch_sources"),  # need a git remote
+    *("images.pin", "images.pin_all", "images.build", "images.import_archive", "images.export"),  # need a container image
+    *("images.contents", "images.known"),
+    *("sources.push", "sources.fetch"),  # need a git remote
     *("root", "config", "store", "stored"),
 }
+NOUNS = sierra.Project.__annotations__
 OPTIONS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
 
@@ -44,8 +49,10 @@ def summary(project: sierra.Project) -> sierra.Summary:
 
 
 def public() -> dict[str, Any]:
-    """Return the public methods and properties of Project."""
-    return {name: member for name, member in vars(sierra.Project).items() if not name.startswith("_")}
+    """Return the public methods and properties of Project and, as `noun.method`, of its nouns."""
+    kinds = {"": sierra.Project} | {f"{noun}.": getattr(sierra.Project, noun) for noun in NOUNS}
+    members = {f"{prefix}{name}": member for prefix, kind in kinds.items() for name, member in vars(kind).items()}
+    return {name: member for name, member in members.items() if name not in NOUNS and not re.match(r"(\w+\.)?_", name)}
 
 
 @pytest.mark.parametrize("name", sierra.__all__)
@@ -70,6 +77,37 @@ def test_every_method_of_a_project_has_a_docstring_with_an_example() -> None:
     documented = {name for name, member in public().items() if member.__doc__ and ">>>" in member.__doc__}
     assert public().keys() - WITHOUT_EXAMPLE - documented == set()
     assert all(member.__doc__ for member in public().values())
+
+
+def test_every_noun_is_documented() -> None:
+    assert {noun for noun in NOUNS if not getattr(sierra.Project, noun).__doc__} == set()
+
+
+@pytest.mark.parametrize("name", sorted(FORMER))
+def test_former_name_of_a_method_works_and_warns_once(
+    project: sierra.Project, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    noun, _, new = FORMER[name].partition(".")
+    monkeypatch.setattr(getattr(sierra.Project, noun), new, lambda owner, *words, **options: (owner, words, options))
+    with pytest.warns(DeprecationWarning, match=rf"^project\.{name} is now project\.{noun}\.{new};") as warned:
+        called = getattr(project, name)("word", option=1)
+    assert called == (getattr(project, noun), ("word",), {"option": 1})
+    assert [Path(warning.filename) for warning in warned] == [Path(__file__)]
+
+
+def test_project_lists_only_new_names(project: sierra.Project) -> None:
+    assert not set(dir(project)) & (FORMER.keys() - NOUNS.keys())
+    assert set(dir(project)) >= NOUNS.keys()
+
+
+def test_documentation_lists_all_former_names() -> None:
+    page = (DOCS / "how-to" / "python.md").read_text("utf-8")
+    assert dict(re.findall(r"^\| `project\.(\w+)` \| `project\.([\w.]+)` \|$", page, re.MULTILINE)) == FORMER
+
+
+def test_unknown_name_of_a_method_is_an_attribute_error(project: sierra.Project) -> None:
+    with pytest.raises(AttributeError, match="'Project' object has no attribute 'rnu'"):
+        _ = project.rnu  # type: ignore[attr-defined]
 
 
 @pytest.mark.integration

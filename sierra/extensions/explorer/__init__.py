@@ -24,7 +24,7 @@ def explorer(project: Project, *, port: int = 0, write: bool = False, package: R
     def source() -> make.ReportSource:
         """Return the batches with the project's file as it is now."""
         if package is None:
-            return make.ReportSource(Project(project.root).loaded, project.store, project.compare_declared)
+            return make.ReportSource(Project(project.root).loaded, project.store, project.comparisons.declared)
         from sierra.packages.reading import report
 
         return make.received(report.source(package))

@@ -39,7 +39,7 @@ def videos(
         raise UsageError(f"a video shows two batches at most, not {len(batches)}")
     if not batches and names:
         return _of_names(project, names, slots(jobs), progress)
-    groups = project.groups_of(batches) if len(batches) == 2 else {"": project.batch(*batches)}
+    groups = project.comparisons.groups(batches) if len(batches) == 2 else {"": project.records.batch(*batches)}
     return render.videos(project.loaded, project.store, groups, names, jobs=slots(jobs), progress=progress)
 
 
@@ -55,7 +55,7 @@ def _of_names(project: Project, names: Sequence[str], jobs: int, progress: Calla
         by_query.setdefault(tuple(declared[name].query) if name in declared else (), []).append(name)
     rendered = []
     for words, some in by_query.items():
-        batches = comparison.of_queries(queries, words) if words else {"": project.batch()}
+        batches = comparison.of_queries(queries, words) if words else {"": project.records.batch()}
         if len(batches) > 2:
             raise UsageError(f"[videos.{some[0]}] query: a video shows two batches at most, not {len(batches)}")
         rendered.append(render.videos(project.loaded, project.store, batches, some, jobs=jobs, progress=progress))
@@ -84,6 +84,6 @@ def capture(
     from sierra.extensions.videos import capture_runs
 
     if prefix is None or prefix in project.config.queries:
-        prefix = project.batch(prefix)
+        prefix = project.records.batch(prefix)
     options = capture_runs.CaptureOptions(slots(jobs), runs, runner, engine, again)
     return capture_runs.capture(project.loaded, project.store, prefix, options, observer or observer_for(progress))

@@ -105,7 +105,7 @@ def test_several_batches_are_drawn_together_as_by_the_command(own: Path) -> None
         found = page.ask("chart", batch=first, name="both", keys=SWARM, others=[second])
         assert found["command"] == f"sierra figures {first[:10]} {second[:10]} both"
         page.ask("write", name="both", keys=SWARM, file=found["file"])
-    [html], _ = sierra.open(own).draw_batches(first, second, name="both", formats=["html"])
+    [html], _ = sierra.open(own).deliverables.draw_batches(first, second, name="both", formats=["html"])
     [data] = set(DATA.findall(found["section"]))
     assert data in html.read_text()
 
@@ -117,7 +117,7 @@ def test_batches_are_compared_as_by_the_command(own: Path) -> None:
         found = page.ask("compare", batches=[first, second], name="mine", keys={"table": "swarm", "column": "coverage"})
         assert tomllib.loads(found["toml"])["comparisons"]["mine"]["groups"] == [first[:10], second[:10]]
         page.ask("write", **{key: found[key] for key in ("name", "keys", "file", "kind")})
-    compared = sierra.open(own).compare_declared("mine")
+    compared = sierra.open(own).comparisons.declared("mine")
     assert compared.batches == {first[:10]: first, second[:10]: second}
     assert compared.text in found["section"]
 
@@ -144,7 +144,7 @@ def test_the_report_is_the_page_that_the_command_writes(page: Page, recorded: Pa
     address = page.ask("report", batch=batch)["address"]
     status, body, headers = page.send("GET", address, X_Sierra_Token="", Origin="")
     assert status == 200
-    assert body == sierra.open(recorded).report(batch, to=tmp_path / "report.html").file.read_bytes()
+    assert body == sierra.open(recorded).deliverables.report(batch, to=tmp_path / "report.html").file.read_bytes()
     assert headers["Content-Security-Policy"] == "frame-ancestors 'self'"
     [policy] = re.findall(r'<meta http-equiv="Content-Security-Policy" content="([^"]*)">', body.decode())
     assert re.sub(r"sha256-[\w+/]{43}=", "HASH", policy) == (
@@ -268,7 +268,7 @@ def test_a_video_that_is_too_large_to_be_played_is_no_missing_one(own: Path) -> 
 
     batch, project = ids(own)[0], sierra.open(own)
     recorded_film(own, batch)
-    answers = Answers(lambda: ReportSource(project._loaded, project.store, read=read), project.store)
+    answers = Answers(lambda: ReportSource(project.loaded, project.store, read=read), project.store)
     with served(Server(answers, "project")) as page:
         assert "too large to be played" in page.ask("batch", batch=batch)["videos"][0]["problem"]
         assert page.ask("report", batch=batch)["address"]
@@ -372,7 +372,7 @@ def test_a_package_cannot_raise_the_limits_of_statements(tmp_path: Path, limited
     figure = '[figures.few]\ntable = "few"\ncolumn = "coverage"\n[package]\ntitle = "T"\nlicense = "MIT"\n'
     root = projects.make(tmp_path / "project", f"{projects.CONFIG}\n{HOSTILE}{figure}authors = [{{ name = 'J' }}]\n{claim}")
     package = str(tmp_path / "one.zip")
-    sierra.open(root).package(stores.ask(root, "population_size=1,2", runs=2), report=False, path=package)
+    sierra.open(root).packages.pack(stores.ask(root, "population_size=1,2", runs=2), report=False, path=package)
     limited.clear()
     for words in (["report", package], ["open", package, "sql", "SELECT * FROM few"], ["open", package, "claims"]):
         assert projects.quick(tmp_path, *words).returncode == 0
@@ -396,7 +396,7 @@ def test_a_condition_of_a_package_that_never_ends_is_ended(tmp_path: Path) -> No
     about = "[package]\ntitle = 'T'\nlicense = 'MIT'\nauthors = [{ name = 'J' }]\n"
     root = projects.make(tmp_path / "project", f"{projects.CONFIG}\n{figure}{about}")
     package = str(tmp_path / "one.zip")
-    sierra.open(root).package(stores.ask(root, "population_size=1", runs=1), report=False, path=package)
+    sierra.open(root).packages.pack(stores.ask(root, "population_size=1", runs=1), report=False, path=package)
     assert projects.quick(tmp_path, "report", package).returncode == 0
     assert "the statement did not end within 0.2 s" in (tmp_path / "one-report.html").read_text()
 
@@ -443,7 +443,7 @@ def test_batches_of_several_segments_are_listed_in_parts(tmp_path: Path) -> None
 
 def test_kept_snapshots_notice_damage(own: Path) -> None:
     project = sierra.open(own)
-    answers = Answers(lambda: ReportSource(project._loaded, project.store), project.store)
+    answers = Answers(lambda: ReportSource(project.loaded, project.store), project.store)
     assert answers.query("FROM swarm")["rows"]
     flip(stores.files(own, "output.swarm")[0], random.Random(7))
     with pytest.raises(Damaged):

@@ -101,7 +101,7 @@ def test_nothing_of_a_hostile_package_is_executed(tmp_path: Path) -> None:
     trap = tmp_path / "executed"
     config = projects.CONFIG + PACKAGE + MODEL.replace("/tmp/executed-TOKEN", str(trap))
     (root / "sierra.toml").write_text(config)
-    sierra.open(root).package(batch, path=tmp_path / "one.zip")
+    sierra.open(root).packages.pack(batch, path=tmp_path / "one.zip")
     trap.unlink(missing_ok=True)  # whoever makes a package executes its own models
     with explored(tmp_path, "open", "one.zip", "explore") as (_, printed):
         page = Page(printed["address"])

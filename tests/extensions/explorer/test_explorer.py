@@ -291,7 +291,7 @@ def test_a_package_is_explored_and_not_changed(browser: Browser, tmp_path: Path)
     from tests.extensions.videos import filmed
 
     root, batch = filmed.make(tmp_path / "project")
-    sierra.open(root).package(batch, report=False, path=tmp_path / "one.zip")
+    sierra.open(root).packages.pack(batch, report=False, path=tmp_path / "one.zip")
     before = (tmp_path / "one.zip").read_bytes()
     refused = projects.quick(tmp_path, "open", "one.zip", "explore", "--write")
     assert (refused.returncode, refused.stderr) == (2, "sierra: a package is never changed; leave out --write\n")

@@ -189,7 +189,7 @@ def test_an_unknown_column_is_named(page: Page, content: dict[str, Any]) -> None
 
 def test_a_condition_that_takes_too_long_is_ended(recorded: Path) -> None:
     project = sierra.open(recorded)
-    answers = Answers(lambda: ReportSource(project._loaded, project.store), project.store)
+    answers = Answers(lambda: ReportSource(project.loaded, project.store), project.store)
     with served(Server(answers, "project")) as page:
         page.ask("columns")
         answers._wall = 0.2
@@ -215,12 +215,12 @@ def test_a_condition_is_stopped(recorded: Path) -> None:
 def test_details_are_those_of_the_commands(page: Page, recorded: Path, run: str) -> None:
     project = sierra.open(recorded)
     found = page.ask("run", run=run)
-    shown = project.show(run).as_dict()
+    shown = project.records.show(run).as_dict()
     assert (found["kind"], found["run"], found["status"], found["seed"]) == ("run", run, "ok", shown["seed"])
-    assert [one["execution"] for one in found["executions"]] == [one.execution for one in project.show(run).executions]  # type: ignore[union-attr]
-    listed = project.files(run).files  # type: ignore[union-attr]
+    assert [one["execution"] for one in found["executions"]] == [one.execution for one in project.records.show(run).executions]  # type: ignore[union-attr]
+    listed = project.records.files(run).files  # type: ignore[union-attr]
     assert [(one["path"], one["kind"], one["bytes"]) for one in found["files"]] == [(f.path, f.kind, f.bytes) for f in listed]
-    assert page.ask("why", run=run) == list(why.lines(project.why(run)))
+    assert page.ask("why", run=run) == list(why.lines(project.records.why(run)))
 
 
 def test_a_file_is_shown_as_text_and_its_path_opens_nothing(page: Page, run: str) -> None:
@@ -252,7 +252,7 @@ def test_runs_are_compared_as_by_the_command(page: Page, recorded: Path) -> None
     found = page.ask("differ", runs=[first, second, third])
     project = sierra.open(recorded)
     assert [one["run"] for one in found] == [second, third]
-    assert found[0]["lines"] == list(diff.lines(project.diff(first, second)))
+    assert found[0]["lines"] == list(diff.lines(project.records.diff(first, second)))
 
 
 def test_curves_have_the_values_of_each_run(page: Page, recorded: Path) -> None:

@@ -231,7 +231,7 @@ def test_an_unknown_batch_or_key_is_named(page: Page, batch: str) -> None:
 
 def test_an_answer_that_takes_too_long_is_ended_and_the_next_one_comes(recorded: Path) -> None:
     project = sierra.open(recorded)
-    answers = Answers(lambda: ReportSource(project._loaded, project.store), project.store, wall=0.2)
+    answers = Answers(lambda: ReportSource(project.loaded, project.store), project.store, wall=0.2)
     with served(Server(answers, "project")) as page:
         assert page.error("query", statement=FOR_EVER).startswith("no answer within 0.2 s")
         answers._wall = 60.0  # opening the store again may take longer on a busy machine
@@ -295,7 +295,7 @@ def test_opening_the_store_ends_like_an_answer(
     monkeypatch.setattr("sierra.extensions.explorer.limit.PATIENCE_S", 0.05)
     asked = {name: value.replace("BATCH", batch) for name, value in content.items()}
     wall = 0.1 if by == "time" else 60
-    server = Server(Answers(lambda: ReportSource(project._loaded, project.store), project.store, wall=wall), "project")
+    server = Server(Answers(lambda: ReportSource(project.loaded, project.store), project.store, wall=wall), "project")
     said: list[str] = []
     with served(server) as page:
         asking = threading.Thread(target=lambda: said.append(page.error(question, **asked)))
@@ -377,7 +377,7 @@ def edited_after_reading(file: Path) -> Callable[[], ReportSource]:
 
     def source() -> ReportSource:
         project = sierra.open(file.parent)
-        found = ReportSource(project._loaded, project.store)
+        found = ReportSource(project.loaded, project.store)
         with file.open("a") as stream:
             stream.write(next(edits, ""))
         return found
@@ -471,7 +471,7 @@ def test_a_client_that_says_nothing_delays_no_other(page: Page) -> None:
 @pytest.mark.integration
 def test_a_statement_that_cannot_be_interrupted_ends_too(recorded: Path) -> None:
     project = sierra.open(recorded)
-    answers = Answers(lambda: ReportSource(project._loaded, project.store), project.store, wall=2.0)
+    answers = Answers(lambda: ReportSource(project.loaded, project.store), project.store, wall=2.0)
     with served(Server(answers, "project")) as page:
         began = time.monotonic()
         endless = "SELECT levenshtein(repeat('a', 1000000), repeat('b', 1000000))"

@@ -148,9 +148,9 @@ def test_packages_keep_robots_and_anonymous_ones_hide_them(copied: tuple[Path, s
     run = projects.sql(root, f"SELECT run FROM effective WHERE batch = '{fleet}' ORDER BY ordinal LIMIT 1")[0]["run"]
     mark_trial(project, run, note="fine", operator="Grace Hopper")
     for name, more in (("plain", {}), ("anonymous", {"anonymous": True})):
-        project.package(fleet, report=False, path=tmp_path / f"{name}.zip", **more)
+        project.packages.pack(fleet, report=False, path=tmp_path / f"{name}.zip", **more)
         other = robots.project(tmp_path / name)
-        sierra.open(other).import_package(tmp_path / f"{name}.zip")
+        sierra.open(other).packages.import_records(tmp_path / f"{name}.zip")
         assert projects.quick(other, "fsck").returncode == 0
         assert projects.sql(other, "SELECT count(DISTINCT run) AS runs FROM swarm") == [{"runs": 12}]
         [trial] = projects.sql(other, "SELECT operator, note FROM trials")

@@ -111,7 +111,7 @@ def test_an_invalid_trial_is_kept_and_repeated_at_the_end_of_its_block(root: Pat
     assert projects.sql(root, "SELECT count(DISTINCT run) AS runs, count(*) AS counting FROM effective") == [
         {"runs": 4, "counting": 4}
     ]
-    assert not sierra.open(root).fsck().findings
+    assert not sierra.open(root).maintenance.fsck().findings
 
 
 @pytest.mark.integration
@@ -158,7 +158,7 @@ def test_a_second_session_does_not_wait_for_trials_of_another_person(root: Path,
     summary = execute(root, WhileAnotherAsks(root, VALID, VALID))
     assert (summary.executed, summary.failed, summary.missing) == (2, 0, 0)
     assert projects.sql(root, "SELECT count(*) AS n FROM trials WHERE valid AND operator = 'Ann'") == [{"n": 2}]
-    assert not sierra.open(root).fsck().findings
+    assert not sierra.open(root).maintenance.fsck().findings
 
 
 @pytest.mark.integration

@@ -41,9 +41,9 @@ def test_an_invalid_trial_does_not_count_and_its_run_is_executed_again(root: Pat
     summary = project.run("population_size=2", figures=False)
     assert (summary.executed, summary.reused) == (1, 1)
     assert projects.sql(root, "SELECT count(*) AS executions FROM executions") == [{"executions": 3}]
-    shown = project.show(first[0]["execution"]).as_dict()["trials"]
+    shown = project.records.show(first[0]["execution"]).as_dict()["trials"]
     assert [(one["valid"], one["reason"], one["operator"]) for one in shown] == [(False, "robot 2 fell", "Ada")]
-    assert not project.fsck().findings
+    assert not project.maintenance.fsck().findings
 
 
 @pytest.mark.integration
@@ -68,7 +68,7 @@ def test_a_report_says_which_trials_count(root: Path) -> None:
     project.run("population_size=2", figures=False)
     mark_trial(project, first, valid=True)  # but a later execution counts
     mark_trial(project, other, note="at noon")
-    found = section(batch_state.read(load(root), project.store, project.batch()))
+    found = section(batch_state.read(load(root), project.store, project.records.batch()))
     assert found is not None
     assert re.findall(r"<td[^>]*>(yes|no)</td>", found.body) == ["no", "yes"]
 

@@ -298,7 +298,7 @@ def test_a_video_shows_captured_frames_and_says_if_they_are_not_what_was_measure
     frames = video_files.decoded(paths[1])
     assert len(frames) == 3
     assert frames[2][120, 160].astype(int) == pytest.approx((2, 100, 0), abs=12)
-    assert [one.problem for one in project.check_figures()] == [None]
+    assert [one.problem for one in project.deliverables.check()] == [None]
 
     changed = sierra.open(configured(root, CAPTURE + 'environment = { DRIFT = "0.5" }\n' + VIDEO))
     assert captured(root)[0] == 1

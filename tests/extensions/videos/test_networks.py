@@ -47,7 +47,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def states(root: Path, **keys: Any) -> tuple[Prepared, list[Any], NetworkPainter]:
     """Return a video, the states of its only run, and two of its painters, which are the same."""
     project, opened = load(root), sierra.open(root)
-    with BatchData(opened.store, opened.batch()) as frame:
+    with BatchData(opened.store, opened.records.batch()) as frame:
         video = Video.model_validate(EDGES | keys)
         made = prepare("film", video, {"": Gallery(project, opened.store, frame)})
         (one,) = made.films

@@ -89,7 +89,7 @@ def test_a_report_is_recorded_once_and_checked_like_figures(project: tuple[Path,
     assert f"says that SIERRA {sierra.__version__} made it from batch {batch[:10]}" in edited.stderr
     file.write_bytes(page)
     project_ = sierra.open(root)
-    project_.draw_comparison(project_.compare(batch, by=["population_size"], column="coverage", measure="mean"))
+    project_.comparisons.draw(project_.comparisons.make(batch, by=["population_size"], column="coverage", measure="mean"))
     assert checked(root)["report"] == "the store or sierra.toml has changed since; write it again with: sierra report"
     assert projects.quick(root, "report", "--to", str(tmp_path / "elsewhere.html")).returncode == 0
     assert len(projects.sql(root, RECORDS)) == 1, "a file outside of the project is not recorded"
@@ -130,11 +130,11 @@ def test_a_report_says_which_videos_are_older_than_the_results(project: tuple[Pa
 
     root, _ = project
     to, opened = tmp_path / "report.html", sierra.open(root)
-    opened.report(to=to)
+    opened.deliverables.report(to=to)
     assert "are older than the last results" not in to.read_text()
     [one, *_] = projects.sql(root, "SELECT execution FROM effective ORDER BY execution")
     mark_trial(opened, one["execution"], valid=False, reason="wet floor")
-    opened.report(to=to)
+    opened.deliverables.report(to=to)
     assert "files are older than the last results of this batch: heat. sierra figures --check tells" in to.read_text()
 
 

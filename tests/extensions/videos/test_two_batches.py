@@ -85,7 +85,10 @@ def test_two_batches_are_drawn_side_by_side_and_recorded_for_both(root: Path, tm
     assert (row["name"], row["batches"]) == ("heat_calm_noisy", [first, second])
     for batch in (first, second):
         assert "heat_calm_noisy: follows from the store" in projects.quick(root, "figures", batch, "--check").stdout
-        assert "Video. heat-population_size=1" in sierra.open(root).report(batch, to=tmp_path / "page.html").file.read_text()
+        assert (
+            "Video. heat-population_size=1"
+            in sierra.open(root).deliverables.report(batch, to=tmp_path / "page.html").file.read_text()
+        )
     path.write_bytes(path.read_bytes()[:-1])
     for batch in (first, second):
         assert "is not the file that SIERRA made" in projects.quick(root, "figures", batch, "--check").stdout

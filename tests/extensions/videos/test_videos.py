@@ -98,7 +98,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def prepared(root: Path, **keys: Any) -> Prepared:
     project = load(root)
     opened = sierra.open(root)
-    with BatchData(opened.store, opened.batch()) as frame:
+    with BatchData(opened.store, opened.records.batch()) as frame:
         video = Video.model_validate(CELLS | keys)
         return prepare("film", video, {"": Gallery(project, opened.store, frame)})
 
@@ -201,7 +201,7 @@ def test_a_difference_is_a_minus_b_with_zero_in_the_middle(root: Path) -> None:
 def images(root: Path, **keys: Any) -> tuple[Prepared, Scene, list[Any]]:
     """Return a video, the scene of its first film, and the frames."""
     project, opened = load(root), sierra.open(root)
-    with BatchData(opened.store, opened.batch()) as frame, settings():
+    with BatchData(opened.store, opened.records.batch()) as frame, settings():
         made = prepare("film", Video.model_validate(CELLS | keys), {"": Gallery(project, opened.store, frame)})
         one = made.films[0]
         words = Words(one.film.title, [panel.label for panel in one.film.panels], "; ".join(small_print(made, one)))
@@ -385,7 +385,7 @@ def test_scripts_learn_that_a_file_could_not_be_made(root: Path, keys: str, made
 def test_only_tables_without_a_video_need_a_default_figure(root: Path) -> None:
     write(root, '[videos.heat]\ntable = "floor"\ncolumn = ["i", "j", "heat"]\n')
     opened = sierra.open(root)
-    with BatchData(opened.store, opened.batch()) as frame:
+    with BatchData(opened.store, opened.records.batch()) as frame:
         _, notes = default_figures.wanted(Gallery(load(root), opened.store, frame), None)
     assert ["'floor'" in " ".join(notes), "'poses'" in " ".join(notes)] == [False, True]
 

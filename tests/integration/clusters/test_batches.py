@@ -375,7 +375,7 @@ def test_the_next_command_cancels_jobs_that_could_not_be_cancelled(gated: Gated,
     gated.slurm.kill_controller(saved=True)
     begun = len(gated.begun())
     assert begun == 3, "others wait for a node"
-    done = projects.quick(gated.root, "cancel", gated.project.status()[0].session)
+    done = projects.quick(gated.root, "cancel", gated.project.jobs.status()[0].session)
     assert done.returncode == 3
     assert done.stderr.splitlines()[-1].startswith("sierra: slurm cannot be reached, so jobs of session ")
     [session] = [path for path in (gated.root / ".sierra" / "work").iterdir() if path.is_dir()]

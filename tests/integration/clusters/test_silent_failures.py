@@ -231,11 +231,11 @@ def test_a_session_whose_scheduler_is_not_installed_is_kept(
     with monkeypatch.context() as patch:
         patch.delitem(SCHEDULERS.shipped, "here")
         with pytest.raises(ConfigError, match="scheduler"):
-            made.project.attach(session.name, figures=False)
-        made.project.status()
+            made.project.jobs.attach(session.name, figures=False)
+        made.project.jobs.status()
     assert (session / "submission.json").exists()
     made.gate.touch()
-    assert made.project.attach(session.name, figures=False).missing == 0
+    assert made.project.jobs.attach(session.name, figures=False).missing == 0
 
 
 def test_runs_that_end_during_cancellation_are_kept(
@@ -264,7 +264,7 @@ def test_runs_that_end_during_cancellation_are_kept(
         return look(self, name)
 
     monkeypatch.setattr(Here, "look", late)
-    [done] = made.project.cancel(made.session().name)
+    [done] = made.project.jobs.cancel(made.session().name)
     assert (done.kept, done.missing) == (3, 0)
 
 
@@ -314,7 +314,7 @@ def test_a_session_with_unreadable_results_is_cancelled(clustered: Callable[...,
     session = made.session()
     (session / "results" / "0.other.pack").write_bytes(result_log.line_of({"event": "end", "told": "otherwise"}))
     with pytest.raises(SierraError, match="another version"):
-        made.project.cancel(session.name)
+        made.project.jobs.cancel(session.name)
     until(lambda: all(process.poll() is not None for *_, process in Here.tasks))
     assert session.exists()
 
@@ -463,12 +463,12 @@ def test_a_duplicate_run_is_recorded_once(clustered: Callable[..., Clustered]) -
     [first] = set(made.simulated.executed())
     made.gate.with_name(f"gate.{first}").touch()
     made.simulated.until_executed(4)
-    until(lambda: project.status() and made.rows("SELECT * FROM duplicates"), "the copy is recorded")
+    until(lambda: project.jobs.status() and made.rows("SELECT * FROM duplicates"), "the copy is recorded")
     for _ in range(3):
-        project.status()
+        project.jobs.status()
     assert made.rows("SELECT count(*) AS n FROM duplicates") == [{"n": 1}]
     made.gate.touch()
-    project.attach(made.session().name, figures=False)
+    project.jobs.attach(made.session().name, figures=False)
     assert made.rows(f"SELECT count(*) AS n FROM duplicates WHERE run = '{first}'") == [{"n": 1}]
     assert made.rows("SELECT 1 FROM duplicates c JOIN executions e USING (execution) WHERE c.attempt = e.attempt") == []
 
@@ -510,7 +510,7 @@ def test_failed_array_tasks_that_nobody_cancelled_are_submitted_again(
     process.terminate()
     process.wait()
     made.gate.touch()
-    summary = made.project.attach(made.session().name, figures=False)
+    summary = made.project.jobs.attach(made.session().name, figures=False)
     assert (summary.interrupted, summary.missing > 0) == (ended, ended)
 
 
@@ -635,7 +635,7 @@ def test_containers_on_nodes_need_no_files_of_sierra(contained: Callable[..., Pr
     told = gzip.decompress(jobs.read_bytes()).decode()
     for only_here in (Path(HERE), user_apptainer()):
         assert f"{only_here}/" not in told
-    assert project.attach(jobs.parent.parent.name, figures=False).failed == 0
+    assert project.jobs.attach(jobs.parent.parent.name, figures=False).failed == 0
 
 
 @pytest.mark.nightly
@@ -712,7 +712,7 @@ def test_a_refused_submission_while_detaching_is_reported_and_cancels_no_runs(
         ask(made, observer=Observing(watch, said.append))
     assert any("no such array" in text for text in said)
     made.gate.touch()
-    assert made.project.attach(made.session().name, figures=False).missing == 0
+    assert made.project.jobs.attach(made.session().name, figures=False).missing == 0
     assert sorted(made.simulated.executed().values()) == [1] * 24
 
 

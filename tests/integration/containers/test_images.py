@@ -96,14 +96,14 @@ def test_two_builds_give_the_same_image(busybox: Project, storages: Storages) ->
     before = os.umask(0o077)
     try:
         shutil.copytree(busybox.root / BUSYBOX, busybox.root / "elsewhere" / "busybox")
-        first = busybox.build_image("elsewhere/busybox").id
+        first = busybox.images.build("elsewhere/busybox").id
     finally:
         os.umask(before)
     storages.choose("there")
     done = quick(busybox.root, "image", "build", BUSYBOX)
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines()[0] == f"{first}  {BUSYBOX}, tagged localhost/sierra/busybox"
-    found = busybox.pin(BUSYBOX)
+    found = busybox.images.pin(BUSYBOX)
     assert found.image.id == first
     assert found.program("sh") == "/bin/sh"
     assert found.labels[containerfile.LABEL] == containerfile.identity(busybox.root / BUSYBOX)
@@ -115,8 +115,8 @@ def test_two_builds_give_the_same_image(busybox: Project, storages: Storages) ->
 def test_a_recipe_that_changed_since_its_build_is_reported(busybox: Project) -> None:
     with (busybox.root / "sierra.toml").open("a") as file:
         file.write(f'[container]\nimage = "{BUSYBOX}"\n')
-    busybox.build_image(BUSYBOX)
-    busybox.pin(BUSYBOX)
+    busybox.images.build(BUSYBOX)
+    busybox.images.pin(BUSYBOX)
     asking = (busybox.root, "run", "population_size=1", "-n")
     assert "has changed since its image was built" not in quick(*asking).stderr
     with (busybox.root / BUSYBOX / "Containerfile").open("a") as file:
@@ -126,11 +126,11 @@ def test_a_recipe_that_changed_since_its_build_is_reported(busybox: Project) -> 
 
 @pytest.mark.nightly
 def test_an_exported_image_has_the_same_id_after_import(busybox: Project, storages: Storages, tmp_path: Path) -> None:
-    built = busybox.build_image(BUSYBOX)
-    busybox.pin(BUSYBOX)
+    built = busybox.images.build(BUSYBOX)
+    busybox.images.pin(BUSYBOX)
     digests = set()
     for name in ("one.tar", "two.tar"):
-        assert busybox.export_image(BUSYBOX, tmp_path / name).id == built.id
+        assert busybox.images.export(BUSYBOX, tmp_path / name).id == built.id
         digests.add(made.sha256((tmp_path / name).read_bytes()))
     assert len(digests) == 1
     storages.choose("there")
@@ -156,12 +156,12 @@ def test_a_damaged_archive_is_not_imported_into_podman(project: Project, storage
 @pytest.mark.nightly
 def test_importing_an_archive_moves_no_tag(project: Project, storages: Storages) -> None:
     tag = "localhost/images-mine:1"
-    mine = project.import_image(made.docker_archive(project.root / "mine.tar", LAYERS[:1], tag=tag)).image
+    mine = project.images.import_archive(made.docker_archive(project.root / "mine.tar", LAYERS[:1], tag=tag)).image
     assert (mine.name, podman_images.identify(tag)) == (tag, mine.id)
-    other = project.import_image(made.docker_archive(project.root / "other.tar", LAYERS, tag=tag)).image
+    other = project.images.import_archive(made.docker_archive(project.root / "other.tar", LAYERS, tag=tag)).image
     assert podman_images.identify(tag) == mine.id
     assert other.name == other.id == podman_images.identify(other.id)
-    assert project.pin(other.name).image.id == other.id
+    assert project.images.pin(other.name).image.id == other.id
 
 
 def test_podman_imports_the_image_that_was_checked(project: Project, storages: Storages) -> None:
@@ -169,7 +169,7 @@ def test_podman_imports_the_image_that_was_checked(project: Project, storages: S
     good = made.oci_archive(project.root / "good.tar", LAYERS).read_bytes()
     evil = made.docker_archive(project.root / "evil.tar", LAYERS[:1]).read_bytes()
     (project.root / "both.tar").write_bytes(evil[: len(evil.rstrip(b"\0")) // 512 * 512 + 512] + good)
-    image = project.import_image(project.root / "both.tar").image
+    image = project.images.import_archive(project.root / "both.tar").image
     assert image.id == oci.read(project.root / "good.tar").id
     listed = subprocess.run(["podman", "images", "--all", "--quiet", "--no-trunc"], check=True, capture_output=True, text=True)
     assert listed.stdout.split() == [image.id]
@@ -179,25 +179,25 @@ def test_a_tag_that_moved_is_detected(project: Project, storages: Storages) -> N
     tag = "localhost/images-moving:1"
     made.docker_archive(project.root / "first.tar", LAYERS[:1])
     made.docker_archive(project.root / "second.tar", LAYERS)
-    first = project.import_image(project.root / "first.tar", tag).image.id
-    image = project.pin(tag).image
+    first = project.images.import_archive(project.root / "first.tar", tag).image.id
+    image = project.images.pin(tag).image
     images.verify(project.root, image)
-    second = project.import_image(project.root / "second.tar", tag).image.id
+    second = project.images.import_archive(project.root / "second.tar", tag).image.id
     with pytest.raises(Missing, match="has moved") as said:
         images.verify(project.root, image)
     assert images.short(first) in str(said.value)
     assert images.short(second) in str(said.value)
-    [known] = [one for one in project.images() if one.name == tag]
+    [known] = [one for one in project.images.known() if one.name == tag]
     assert (known.state, known.id, known.now, known.podman) == ("moved", first, second, True)
-    assert project.pin(tag).image.id == second
+    assert project.images.pin(tag).image.id == second
     images.verify(project.root, images.pinned(project.root, tag))
 
 
 @pytest.mark.nightly
 def test_an_image_whose_tag_was_removed_can_be_executed_by_its_id(project: Project, storages: Storages) -> None:
     tag = "localhost/images-gone:1"
-    image = project.import_image(made.docker_archive(project.root / "sim.tar", LAYERS), tag).image
-    pinned = project.pin(tag).image
+    image = project.images.import_archive(made.docker_archive(project.root / "sim.tar", LAYERS), tag).image
+    pinned = project.images.pin(tag).image
     podman_images.tag(image.id, "localhost/images-other:1")
     subprocess.run(["podman", "untag", tag, tag], check=True, capture_output=True)
     images.verify(project.root, pinned)
@@ -206,7 +206,7 @@ def test_an_image_whose_tag_was_removed_can_be_executed_by_its_id(project: Proje
     with pytest.raises(Missing, match="not in podman's storage"):
         engines.find("podman").prepare(pinned, project.root, StorePaths(project.root / ".sierra"))
     with pytest.raises(Missing, match="not in podman's storage; build it, or run sierra image export"):
-        project.export_image(tag, project.root / "copy.tar")
+        project.images.export(tag, project.root / "copy.tar")
     shutil.rmtree(project.root / ".sierra")
     with pytest.raises(Missing, match=f"{tag} .* is not in podman's storage"):
         images.rootfs(project.root, StorePaths(project.root / ".sierra"), pinned)
@@ -218,14 +218,14 @@ def test_a_broken_podman_does_not_affect_commands_without_podman(
 ) -> None:
     require("mksquashfs")
     tag, store = "localhost/images-there:1", StorePaths(project.root / ".sierra")
-    project.import_image(made.docker_archive(project.root / "sim.tar", LAYERS), tag)
-    image = project.pin(tag).image
+    project.images.import_archive(made.docker_archive(project.root / "sim.tar", LAYERS), tag)
+    image = project.images.pin(tag).image
     system = images.rootfs(project.root, store, image)
     (tmp_path / "broken.conf").write_text("[storage]\ndriver = 1\n")
     monkeypatch.setenv("CONTAINERS_STORAGE_CONF", str(tmp_path / "broken.conf"))
     images.verify(project.root, image)
     assert images.rootfs(project.root, store, image) == system
-    [known] = project.images()
+    [known] = project.images.known()
     assert (known.state, known.podman, known.squashfs) == ("gone", False, True)
     assert "podman" in known.why
     assert "\n" not in known.why
@@ -234,7 +234,7 @@ def test_a_broken_podman_does_not_affect_commands_without_podman(
 @pytest.mark.nightly
 def test_an_archive_is_loaded_for_podman_by_its_content(project: Project, storages: Storages) -> None:
     made.oci_archive(project.root / "sim.tar", LAYERS)
-    image, store = project.pin("sim.tar").image, StorePaths(project.root / ".sierra")
+    image, store = project.images.pin("sim.tar").image, StorePaths(project.root / ".sierra")
     assert engines.find("podman").prepare(image, project.root, store) == image.id == podman_images.identify(image.id)
     assert engines.find("podman").prepare(image, project.root, store) == image.id
 
@@ -244,8 +244,8 @@ def test_identifying_an_unchanged_image_does_not_start_podman(
     project: Project, storages: Storages, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tag = "localhost/images-still:1"
-    project.import_image(made.docker_archive(project.root / "sim.tar", LAYERS), tag)
-    project.pin(tag)
+    project.images.import_archive(made.docker_archive(project.root / "sim.tar", LAYERS), tag)
+    project.images.pin(tag)
     time.sleep(2.1)  # recent changes are queried again
     with monkeypatch.context() as patch:
         patch.setenv("PATH", str(tmp_path))  # no podman is on this path
@@ -255,7 +255,7 @@ def test_identifying_an_unchanged_image_does_not_start_podman(
 @pytest.mark.nightly
 def test_merged_layers_equal_the_file_system_of_podman(project: Project, storages: Storages, tmp_path: Path) -> None:
     path = made.docker_archive(tmp_path / "sim.tar", LAYERS)
-    identity = project.import_image(path).image.id.removeprefix("sha256:")
+    identity = project.images.import_archive(path).image.id.removeprefix("sha256:")
     made_of_it = subprocess.run(
         ["podman", "create", "--pull=never", "--network=none", identity, "true"], check=True, capture_output=True, text=True
     )
@@ -325,17 +325,17 @@ def test_the_record_of_an_image_is_removed_with_its_last_run(busybox: Project) -
     config = projects.CONFIG.replace("python3 sim.py {input}", "sh {project}/sim.sh {output}")
     (busybox.root / "sierra.toml").write_text(f'{config}\n[container]\nimage = "{BUSYBOX}"\n')
     project = sierra.open(busybox.root)
-    project.build_image()
-    found = project.pin()
+    project.images.build()
+    found = project.images.pin()
     batches = [project.run(f"population_size={size}", runs=1, figures=False) for size in (1, 2)]
     assert [one.failed for one in batches] == [0, 0]
     rows = project.sql("SELECT image, octet_length(content) AS size FROM images JOIN objects o ON files = o.sha256")
     assert [row["image"] for row in rows.to_pylist()] == [found.image.id]
     assert rows.to_pylist()[0]["size"] == len(found.listing)
-    project.collect()
-    project.remove(batches[0].batch)
+    project.maintenance.collect()
+    project.records.remove(batches[0].batch)
     assert project.sql("SELECT count(*) AS n FROM images JOIN objects o ON files = o.sha256").to_pylist() == [{"n": 1}]
-    project.remove(batches[1].batch)
+    project.records.remove(batches[1].batch)
     assert project.sql("SELECT count(*) AS n FROM images").to_pylist() == [{"n": 0}]
     assert project.sql("SELECT count(*) AS n FROM objects").to_pylist() == [{"n": 0}]
 
@@ -359,7 +359,7 @@ def test_an_interrupted_build_leaves_no_files_and_containers(
         (folder / "rootfs").write_text(f"#!/bin/sh\n{rootfs.format(mark)}\n")
         (folder / "rootfs").chmod(0o755)
     else:
-        busybox.build_image(BUSYBOX)
+        busybox.images.build(BUSYBOX)
     process = subprocess.Popen(
         [projects.SIERRA, "image", "build", "containers/sim"], cwd=busybox.root, stderr=subprocess.PIPE, text=True
     )
@@ -420,7 +420,7 @@ def test_a_rebuilt_sif_of_apptainer_differs_and_is_detected(
     path = made.docker_archive(tmp_path / "sim.tar", LAYERS, configured)
     command = [apptainer, "build", "--force", str(project.root / "sim.sif"), f"docker-archive:{path}"]
     subprocess.run(command, check=True, capture_output=True)
-    found = project.pin("sim.sif")
+    found = project.images.pin("sim.sif")
     assert found.image.id.startswith("squashfs:")
     assert found.image.variables == {"PATH": "/bin", "GREETING": "hello there"}
     assert found.sha256("/bin/link") == made.sha256(b"1")
@@ -446,7 +446,7 @@ def test_the_recipes_of_python_and_of_the_example_can_be_built(
         shutil.copytree(RECIPES / name, project.root / "containers" / name)
     done = quick(project.root, "image", "build", "containers/python", "containers/swarm")
     assert done.returncode == 0, done.stderr
-    found = project.pin("containers/swarm")
+    found = project.images.pin("containers/swarm")
     lock = (RECIPES.parent / "requirements.lock").read_text()
     for name in ("mujoco", "mujoco-core", "numpy"):
         [line] = [line for line in found.packages["python"] if line.startswith(f"{name}==")]

@@ -40,7 +40,7 @@ def test_the_recorded_image_is_packed_and_no_other(
     assert done.returncode == 0, done.stderr
     archive.rename(tmp_path / "aside.tar")
     assert podman_images.holds(identity)
-    sierra.open(root).package(batch, report=False, path=tmp_path / "podman.zip", image="both")
+    sierra.open(root).packages.pack(batch, report=False, path=tmp_path / "podman.zip", image="both")
     assert (tmp_path / "file.zip").read_bytes() == (tmp_path / "podman.zip").read_bytes()
     with zipfile.ZipFile(tmp_path / "podman.zip") as file:
         (tmp_path / "again.tar").write_bytes(file.read(f"{name}.tar"))
@@ -53,11 +53,11 @@ def test_the_recorded_image_is_packed_and_no_other(
 
     monkeypatch.setattr(podman_images, "holds", lambda identity: False)
     with pytest.raises(Missing, match=r"busybox\.tar no longer exists, and podman does not have"):
-        sierra.open(root).package(batch, report=False, path=tmp_path / "x.zip", image="oci")
+        sierra.open(root).packages.pack(batch, report=False, path=tmp_path / "x.zip", image="oci")
     containers.host(tmp_path, containers.BUSYBOX).rename(archive)
     for form in ("oci", "sif"):
         with pytest.raises(Damaged, match=r"busybox\.tar is the image sha256:\w+, not sha256"):
-            sierra.open(root).package(batch, report=False, path=tmp_path / "x.zip", image=form)
+            sierra.open(root).packages.pack(batch, report=False, path=tmp_path / "x.zip", image=form)
     assert not (tmp_path / "x.zip").exists()
 
 
@@ -74,7 +74,9 @@ def test_without_sierra_containers_start_as_those_that_were_recorded(
     config = (root / "sierra.toml").read_text()
     (root / "sierra.toml").write_text('before = "cp {input} copy.xml"\n' + config + PACKAGE)
     batch = sierra.open(root).run("population_size=1,2", runs=1, figures=False, engine=engine).batch
-    sierra.open(root).package(batch, report=False, path=tmp_path / "x.zip", image="sif" if engine == "apptainer" else "oci")
+    sierra.open(root).packages.pack(
+        batch, report=False, path=tmp_path / "x.zip", image="sif" if engine == "apptainer" else "oci"
+    )
     with zipfile.ZipFile(tmp_path / "x.zip") as file:
         file.extractall(tmp_path / "x")
     command = [sys.executable, "reproduce.py", "--execute", "--yes", "--level=2", f"--engine={engine}"]

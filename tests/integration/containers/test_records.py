@@ -248,7 +248,7 @@ def test_another_image_makes_runs_new_and_changed_packages_are_named(root: Path,
     text = explained(root)
     assert "image: ../new.tar (sha256:" in text
     assert "dpkg packages of the image: 3 differ: libc6 2.36-10 → 2.36-9, zlib 3 gone, tzdata 1 new" in text
-    assert sierra.open(root).why(batches["new"]).next_run.differences[0].kind == "image"
+    assert sierra.open(root).records.why(batches["new"]).next_run.differences[0].kind == "image"
 
 
 @pytest.mark.nightly
@@ -294,7 +294,7 @@ def test_swapped_files_in_mounts_execute_runs_again(root: Path) -> None:
 
 
 def wrong(root: Path) -> set[Kind]:
-    return {finding.kind for finding in sierra.open(root).fsck().findings if not finding.kind.fine}
+    return {finding.kind for finding in sierra.open(root).maintenance.fsck().findings if not finding.kind.fine}
 
 
 @pytest.mark.nightly
@@ -307,7 +307,7 @@ def test_the_isolation_is_recorded_together_with_executions(root: Path) -> None:
     """After `kill -9`, the records that a session writes at its end are missing."""
     for path in root.glob(".sierra/segments/*/sessions.parquet"):
         shutil.rmtree(path.parent)
-    found = sierra.open(root).fsck()
+    found = sierra.open(root).maintenance.fsck()
     assert found.executions == 3
     assert all("isolation" not in finding.what for finding in found.findings)
     assert len(sierra.open(root).sql("SELECT DISTINCT isolation FROM isolations JOIN executions USING (isolation)")) == 3

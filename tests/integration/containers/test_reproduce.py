@@ -28,7 +28,7 @@ def packed(folder: Path, name: str, *access: str) -> Path:
     config = root / "sierra.toml"
     config.write_text(config.read_text() + PACKAGE)
     batch = sierra.open(root).run("population_size=2", runs=1, figures=False).batch
-    sierra.open(root).package(batch, report=False, path=folder / f"{name}.zip")
+    sierra.open(root).packages.pack(batch, report=False, path=folder / f"{name}.zip")
     return folder / f"{name}.zip"
 
 
@@ -57,7 +57,7 @@ def test_the_image_of_a_package_is_used_if_this_machine_does_not_have_it(tmp_pat
     root = containers.make(tmp_path / "project", file)
     (root / "sierra.toml").write_text((root / "sierra.toml").read_text() + PACKAGE)
     batch = sierra.open(root).run("population_size=2", runs=1, figures=False).batch
-    sierra.open(root).package(batch, report=False, path=tmp_path / "without.zip")
+    sierra.open(root).packages.pack(batch, report=False, path=tmp_path / "without.zip")
     [image] = sierra.open(root).sql("SELECT image FROM images").to_pylist()
     member = f"environment/images/{image['image'].replace(':', '-')}.tar"
 

@@ -508,10 +508,10 @@ def test_completion_offers_targets_that_are_not_named_yet(executed: Path, monkey
 def test_python_has_targets_and_plans_for_them(executed: Path) -> None:
     project = sierra.open(executed)
     assert project.targets == ("sim", "robots")
-    plans = project.plans("population_size=1,2", targets=["robots", "sim"])
+    plans = project.plans.of_targets("population_size=1,2", targets=["robots", "sim"])
     assert [(plan.target, plan.batch.id) for plan in plans] == [(name, batch(executed, name)) for name in ("robots", "sim")]
     assert project.plan("population_size=1,2", target="robots").batch.id == plans[0].batch.id
     with pytest.raises(UsageError, match="unknown target 'x'"):
         project.plan("population_size=1", target="x")
     with pytest.raises(QueryError, match="no change for target 'robots'"):
-        project.plans("noise=1", targets=["sim", "robots"])
+        project.plans.of_targets("noise=1", targets=["sim", "robots"])

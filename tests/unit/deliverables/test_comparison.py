@@ -94,7 +94,9 @@ def test_the_values_of_a_variable_are_compared_within_a_batch(compared: tuple[Pa
 
 def test_the_command_in_a_report_makes_the_same_comparison(compared: tuple[Path, str, str]) -> None:
     root, quiet, _ = compared
-    made = sierra.open(root).compare(quiet, by=["population_size"], method="rank_sum", paired=False, alpha=0.1, margin=2.5)
+    made = sierra.open(root).comparisons.make(
+        quiet, by=["population_size"], method="rank_sum", paired=False, alpha=0.1, margin=2.5
+    )
     found = answer(root, *shlex.split(comparisons.again(made))[2:])
     assert [pair["test"] for pair in found["pairs"]] == [pair.test for pair in made.pairs]
     assert [pair["p"] for pair in found["pairs"]] == [pair.p for pair in made.pairs]
@@ -208,7 +210,7 @@ def test_declared_comparisons_have_names(compared: tuple[Path, str, str]) -> Non
 @pytest.mark.nightly
 def test_the_python_api_returns_the_same(compared: tuple[Path, str, str]) -> None:
     root, quiet, noisy = compared
-    found = sierra.open(root).compare(quiet, noisy, measure="mean", margin=100)
+    found = sierra.open(root).comparisons.make(quiet, noisy, measure="mean", margin=100)
     assert [pair.verdict.value for pair in found.pairs] == ["different, equivalent"] * 2
     table = found.arrow()
     assert table.column("population_size").to_pylist() == [1, 2]
@@ -228,13 +230,13 @@ def test_times_until_a_threshold_are_censored(compared: tuple[Path, str, str]) -
 
 def test_the_difference_over_time_has_an_interval_at_each_time_and_one_test(compared: tuple[Path, str, str]) -> None:
     root, quiet, noisy = compared
-    found = sierra.open(root).compare(quiet, noisy, column="coverage", over_time=True)
+    found = sierra.open(root).comparisons.make(quiet, noisy, column="coverage", over_time=True)
     assert (found.measure, found.time, len(found.bands), found.analysis.tests) == ("mean", "tick", 2, 2)
     for band, pair in zip(found.bands, found.pairs, strict=True):
         assert band.times.tolist() == [0, 1, 2, 3, 4]
         assert band.low[0] < pair.difference < band.high[0], "the noise of a run is the same at all times"
     with pytest.raises(UsageError, match="over_time"):
-        sierra.open(root).compare(quiet, noisy, over_time=True, measure="final")
+        sierra.open(root).comparisons.make(quiet, noisy, over_time=True, measure="final")
 
 
 @pytest.mark.parametrize(
@@ -374,11 +376,11 @@ def test_batches_of_such_numbers_are_compared_over_time_too(stamped: Path) -> No
     """The runs of both batches wrote the same, so each difference is 0, whatever was subtracted from each batch."""
     first, second = [row["batch"] for row in projects.sql(stamped, "SELECT batch FROM batches ORDER BY lamport")]
     project = sierra.open(stamped)
-    found, plain = (project.compare(first, second, column=one, over_time=True) for one in ("stamp", "plain"))
+    found, plain = (project.comparisons.make(first, second, column=one, over_time=True) for one in ("stamp", "plain"))
     for one, other in zip(found.bands, plain.bands, strict=True):
         assert (one.mean.tolist(), one.low.tolist()) == (other.mean.tolist(), other.low.tolist())
     found, plain = (
-        project.runs_for_power(first, by=["population_size"], groups=["1", "2"], column=one).comparisons[0].runs
+        project.studies.runs_for_power(first, by=["population_size"], groups=["1", "2"], column=one).comparisons[0].runs
         for one in ("stamp", "plain")
     )
     assert found == plain

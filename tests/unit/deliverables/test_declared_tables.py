@@ -149,7 +149,7 @@ def test_sums_of_a_statement_are_the_same_each_time(drawn: tuple[Path, str, str]
     project = sierra.open(root)
     data = set()
     for _ in range(5):
-        project.draw_batches(first, second, name="sums")
+        project.deliverables.draw_batches(first, second, name="sums")
         data |= {row["data"] for row in projects.sql(root, "SELECT data FROM deliverables WHERE starts_with(name, 'sums_')")}
     assert len(data) == 1
     header, row = rows(root, f"sums_{first[:10]}_{second[:10]}", "*-*")

@@ -71,7 +71,7 @@ def test_runs_without_rows_are_not_only_called_missing(root: Path) -> None:
 @pytest.mark.integration
 def test_the_plan_for_a_rate_uses_the_interval_of_a_rate(root: Path) -> None:
     project = sierra.open(root)
-    planned = project.runs_needed(project.batches[0].batch, half_width=0.1, table="ends", column="good")
+    planned = project.studies.runs_needed(project.batches[0].batch, half_width=0.1, table="ends", column="good")
     rates = project.statistics(project.batches[0].batch, "ends", "good").column("mean").to_pylist()
     assert {0.0, 1.0} & set(rates), "runs that all agree have no standard deviation"
     assert all(one.runs is not None and one.runs >= 16 for one in planned.experiments)

@@ -298,7 +298,7 @@ def test_default_figures_of_two_variables_are_maps_and_summaries_without_pandas_
     code = (
         "import sys, sierra; from pathlib import Path; "
         "project = sierra.open(Path(sys.argv[1])); "
-        "print([len(project.figures(sys.argv[2], 'swarm_energy_' + kind)) for kind in sys.argv[3:]]); "
+        "print([len(project.deliverables.figures(sys.argv[2], 'swarm_energy_' + kind)) for kind in sys.argv[3:]]); "
         "print([name for name in ('pandas', 'seaborn', 'networkx') if name in sys.modules])"
     )
     words = [sys.executable, "-c", code, str(batch), batch_of(batch), "timeseries", "heatmap", "summary"]
@@ -311,6 +311,6 @@ def test_columns_whose_names_differ_in_signs_only_have_a_figure_each(tmp_path: P
     writes = "open('t.csv', 'w').write('v(m),v[m]\\n1,2\\n')\n"
     project = sierra.open(projects.make(tmp_path / "p", simulator=writes))
     summary = project.run("population_size=1,2", figures=False)
-    drawn = {path.stem: path.read_text() for path in project.figures(summary.batch, formats=["svg"])}
+    drawn = {path.stem: path.read_text() for path in project.deliverables.figures(summary.batch, formats=["svg"])}
     shown = {stem: [name for name in ("v(m)", "v[m]") if name in text] for stem, text in drawn.items()}
     assert shown == {"t_v_m__summary": ["v(m)"], "t_v_m__summary_2": ["v[m]"]}

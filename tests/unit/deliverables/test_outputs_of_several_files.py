@@ -50,7 +50,7 @@ def _explicit(project: Project, batch: str) -> None:
     """Declare a figure in the project and draw it."""
     file = project.root / "sierra.toml"
     file.write_text(file.read_text() + '[figures.heat]\nkind = "summary"\ntable = "floor"\ncolumn = "heat"\n')
-    sierra.open(project.root).draw(batch, "heat")
+    sierra.open(project.root).deliverables.draw(batch, "heat")
 
 
 @pytest.mark.integration
@@ -75,11 +75,11 @@ def test_files_are_listed_in_numeric_order(tmp_path: Path) -> None:
     summary = project.run("population_size=1", runs=1, figures=False)
     names = [f"floor-{number}.csv" for number in range(1, 13)]
     assert project.sql("SELECT file FROM floor").column(0).to_pylist() == names
-    listed = project.files(summary.batch)
+    listed = project.records.files(summary.batch)
     assert isinstance(listed, sierra.store.export_recorded_files.Listing)
     assert [file.path for file in listed.files if file.kind == "table"] == [f"output/{name}" for name in names]
     execution = project.sql("SELECT execution FROM executions").column(0)[0].as_py()
-    shown = [one.path for one in project.show(execution).artifacts]
+    shown = [one.path for one in project.records.show(execution).artifacts]
     assert shown == names
 
 
@@ -116,7 +116,7 @@ def test_file_names_with_brackets_are_matched_literally(tmp_path: Path) -> None:
     assert summary.failed == 0
     rows = project.sql("SELECT file, v FROM one ORDER BY v").to_pylist()
     assert rows == [{"file": "robot0.csv", "v": 0}, {"file": "robot[0].csv", "v": 1}]
-    listed = project.files(summary.batch, "robot[0].csv")
+    listed = project.records.files(summary.batch, "robot[0].csv")
     assert isinstance(listed, sierra.store.export_recorded_files.Listing)
     assert [file.path for file in listed.files] == ["output/robot[0].csv"]
 

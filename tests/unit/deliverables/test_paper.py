@@ -304,15 +304,15 @@ def test_a_file_outside_the_folder_is_refused(tmp_path: Path) -> None:
     described = {"version": 1, "files": {"../../sim.py": file}}
     (folder / "paper" / "sierra" / "provenance.json").write_text(json.dumps(described))
     with pytest.raises(Damaged, match=r"sim\.py"):
-        sierra.open(folder).check_paper()
+        sierra.open(folder).paper.check()
 
 
 def test_without_anything_bound_or_made_the_command_says_so(tmp_path: Path) -> None:
     folder = projects.make(tmp_path / "project")
     with pytest.raises(NotFound, match="nothing is bound to a query"):
-        sierra.open(folder).paper_queries()
+        sierra.open(folder).paper.queries()
     with pytest.raises(NotFound, match="make it with: sierra paper"):
-        sierra.open(folder).check_paper()
+        sierra.open(folder).paper.check()
     refused = projects.quick(folder, "paper", "--check", "-n")
     assert refused.returncode == 2
 
@@ -374,7 +374,7 @@ def test_a_killed_process_leaves_files_that_are_known(paper: Path, monkeypatch: 
 
     monkeypatch.setattr(folder_of_paper, "write_whole", killed)
     with pytest.raises(KeyboardInterrupt):
-        project.paper()
+        project.paper.write()
     monkeypatch.undo()
     code, lines = checked(paper)
     assert code == 1

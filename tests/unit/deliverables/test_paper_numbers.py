@@ -164,7 +164,7 @@ def test_the_id_of_the_package_is_a_macro(folder: Path, tmp_path: Path) -> None:
     config, numbers = here / "sierra.toml", here / "paper" / "sierra" / "numbers.tex"
     config.write_text(config.read_text() + '[package]\ntitle = "T"\nauthors = [{ name = "Jane Doe" }]\nlicense = "MIT"\n')
     batch = next(iter(sierra.open(here).batches)).batch
-    packed = sierra.open(here).package(batch, report=False, path=tmp_path / "x.zip")
+    packed = sierra.open(here).packages.pack(batch, report=False, path=tmp_path / "x.zip")
     assert packed
     assert "sierrapackage" not in macros(here)
     config.write_text(config.read_text() + '[paper]\npackage = "../x.zip"\n')

@@ -190,9 +190,9 @@ def test_the_stats_command_writes_tables_for_papers(simulate: Callable[..., Any]
         assert told in wrong.stderr
     opened = sierra.open(project.folder)
     with pytest.raises(UsageError, match="a table for papers needs chosen statistics"):
-        opened.paper_table(opened.statistics(None, "swarm", "v_x"))
+        opened.paper.table(opened.statistics(None, "swarm", "v_x"))
     with pytest.raises(UsageError, match="unknown format of a table 'docx'; known are latex, markdown, html"):
-        opened.paper_table(opened.statistics(None, "swarm", "v_x", statistics=["mean"]), "docx")
+        opened.paper.table(opened.statistics(None, "swarm", "v_x", statistics=["mean"]), "docx")
 
 
 @pytest.mark.integration

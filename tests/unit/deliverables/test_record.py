@@ -51,7 +51,7 @@ def test_each_figure_is_recorded_once_however_often_it_is_drawn(drawn: Path) -> 
     assert {name for name, _, _ in before} == names
     assert len(before) == len(names)
     project = sierra.open(drawn)
-    project.figures()
+    project.deliverables.figures()
     project.run("population_size=1,2", runs=2)
     assert rows(drawn) == before
 
@@ -184,7 +184,7 @@ def test_formats_are_drawn_on_request_and_all_of_their_files_are_checked(drawn: 
 
 @pytest.mark.nightly
 def test_files_of_formats_that_are_no_longer_drawn_can_be_removed(drawn: Path) -> None:
-    sierra.open(drawn).figures(formats=["svg"])
+    sierra.open(drawn).deliverables.figures(formats=["svg"])
     for ending in ("png", "pdf"):
         a_figure(drawn, ending).unlink()
     code, said = check(drawn)
@@ -304,7 +304,7 @@ def test_figures_are_drawn_although_the_store_cannot_be_written(drawn: Path, mon
     config = drawn / "sierra.toml"
     config.write_text(config.read_text() + '[figures.new]\ncolumn = "coverage"\n')
     monkeypatch.setattr(record, "Session", full)
-    _, notes = sierra.open(drawn).draw()
+    _, notes = sierra.open(drawn).deliverables.draw()
     assert any("not recorded" in note and "No space left" in note for note in notes)
     assert list(drawn.glob("figures/*/new.svg"))
 

@@ -133,7 +133,9 @@ def test_a_report_tells_the_whole_story_of_a_batch(project: tuple[Path, str], pa
     assert sections == order
     assert [link["href"] for link in found.all("a")][1:] == [f"#{name}" for name in order]
     drawn = {
-        path.stem: path.read_bytes() for path in sierra.open(root).figures(batch, formats=["svg"]) if path.suffix == ".svg"
+        path.stem: path.read_bytes()
+        for path in sierra.open(root).deliverables.figures(batch, formats=["svg"])
+        if path.suffix == ".svg"
     }
     shown = [base64.b64decode(str(one["src"]).partition(",")[2]) for one in found.all("img")]
     assert shown[:3] == [drawn["over_time"], drawn["at_the_end"], drawn["spread"]]

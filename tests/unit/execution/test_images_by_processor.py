@@ -31,7 +31,7 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Project:
     monkeypatch.setattr(platform, "machine", lambda: "x86_64")
     for processor in ("x86_64", "aarch64"):
         image(root, processor)
-    sierra.open(root).pin_all()
+    sierra.open(root).images.pin_all()
     return sierra.open(root)
 
 
@@ -48,12 +48,12 @@ def test_the_ids_depend_on_the_content_of_each_image(project: Project) -> None:
     before = project.plan(QUERY).batch
     image(project.root, "aarch64", "other")
     assert project.plan(QUERY).batch.id == before.id, "the pinned images count"
-    project.pin_all()
+    project.images.pin_all()
     after = project.plan(QUERY).batch
     assert after.id != before.id
     assert {**before.spec.preimage(), "image": None} == {**after.spec.preimage(), "image": None}
     image(project.root, "riscv64")
-    project.pin_all()
+    project.images.pin_all()
     assert project.plan(QUERY).batch.id != after.id
 
 
@@ -70,7 +70,7 @@ def test_a_processor_without_an_image_is_named(project: Project, monkeypatch: py
     with pytest.raises(Missing, match=r"^no image for s390x: sim-s390x\.tar is not pinned; add it, and run: sierra image pin"):
         project.plan(QUERY)
     image(project.root, "s390x", made_for="x86_64")
-    project.pin()
+    project.images.pin()
     with pytest.raises(ConfigError, match=r"^the image sim-s390x\.tar is for amd64, but its name is that for s390x$"):
         project.plan(QUERY)
 
@@ -79,6 +79,6 @@ def test_a_name_without_any_image_is_refused(project: Project) -> None:
     for file in (*project.root.glob("sim-*.tar"), project.root / "sierra.lock"):
         file.unlink()
     with pytest.raises(Missing, match=r"^sim-\{arch\}\.tar names no image for any processor: the image file .* exist$"):
-        project.pin_all()
+        project.images.pin_all()
     with pytest.raises(Missing, match=r"^no image of the name 'sim-\{arch\}\.tar' is pinned, and cannot be pinned yet: "):
         project.plan(QUERY)

@@ -98,7 +98,7 @@ def test_all_robots_of_a_run_write_one_table_and_are_recorded(tmp_path: Path) ->
     assert "tb3-02" in shown
     taken = projects.quick(root, "outputs").stdout
     assert "table tracking from 0/tracking.csv" in taken
-    assert project.fsck().findings == ()
+    assert project.maintenance.fsck().findings == ()
     again = project.run("population_size=1,2,3", target="robots", figures=False)
     assert (again.executed, again.reused) == (2, 4), "the size of the largest run is no part of smaller ones"
 
@@ -213,7 +213,7 @@ def test_a_runner_that_does_not_claim_containers_gets_no_runs_in_them(tmp_path: 
     root = robots.project(tmp_path / "p", more)
     layer = images.layer(("bin/python3", "#!"))
     images.docker_archive(root / "sim.tar", [layer])
-    sierra.open(root).pin("sim.tar")
+    sierra.open(root).images.pin("sim.tar")
     project = sierra.open(root)
     with pytest.raises(UsageError, match=r"^runner 'pretend' cannot execute runs on robots in containers; use --on robots, or"):
         project.run("population_size=2", target="robots", runner="pretend", figures=False)

@@ -22,15 +22,15 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.integration
 def test_each_kind_of_object_has_a_class_whose_form_in_json_is_printed(root: Path) -> None:
     project = sierra.open(root)
-    batch = project.show(project.batches[0].batch)
+    batch = project.records.show(project.batches[0].batch)
     assert isinstance(batch, ShownBatch)
-    experiment = project.show(batch.experiments[0].experiment)
+    experiment = project.records.show(batch.experiments[0].experiment)
     assert isinstance(experiment, ShownExperiment)
-    run = project.show(experiment.runs[0].run)
+    run = project.records.show(experiment.runs[0].run)
     assert isinstance(run, ShownRun)
-    execution = project.show(run.executions[0].execution)
+    execution = project.records.show(run.executions[0].execution)
     assert isinstance(execution, ShownExecution)
-    session = project.show(batch.sessions[0].session)
+    session = project.records.show(batch.sessions[0].session)
     assert isinstance(session, ShownSession)
     for shown, identity in (
         (batch, batch.row.batch),
@@ -46,7 +46,7 @@ def test_each_kind_of_object_has_a_class_whose_form_in_json_is_printed(root: Pat
 @pytest.mark.integration
 def test_values_of_experiments_are_columns_in_json(root: Path) -> None:
     project = sierra.open(root)
-    batch = project.show(project.batches[0].batch)
+    batch = project.records.show(project.batches[0].batch)
     assert isinstance(batch, ShownBatch)
     assert [one.values for one in batch.experiments] == [{"population_size": 1}, {"population_size": 2}]
     printed = json.loads(projects.quick(root, "show", batch.row.batch, "--json").stdout)
@@ -56,7 +56,7 @@ def test_values_of_experiments_are_columns_in_json(root: Path) -> None:
 def test_columns_of_a_run_and_an_execution_that_are_null_are_left_out_of_json(root: Path) -> None:
     project = sierra.open(root)
     [execution, _] = project.sql("SELECT execution FROM executions").column(0).to_pylist()
-    shown = project.show(execution)
+    shown = project.records.show(execution)
     assert isinstance(shown, ShownExecution)
     assert shown.row.signal is None
     assert not {"signal", "attempt", "isolation"} & shown.as_dict().keys()

@@ -65,7 +65,7 @@ import sierra
 from sierra.execution import write_inputs
 write_inputs._write_all = lambda *of: os.kill(os.getpid(), signal.SIGKILL)
 project = sierra.open(".")
-project.write_inputs(project.plan("population_size=1", runs=1), Path("../first"))
+project.plans.write_inputs(project.plan("population_size=1", runs=1), Path("../first"))
 """
 
 

@@ -203,7 +203,7 @@ def test_the_unit_of_durations_is_shown_everywhere(tmp_path: Path) -> None:
     assert "d BIGINT in ns" in " ".join(projects.quick(project.root, "outputs").stdout.split())
     table = projects.quick(project.root, "stats", "out", "d", "--format", "latex", "--statistic", "mean").stdout
     assert "d {[}ns]" in table
-    drawn, _ = project.draw(batch, formats=["svg"])
+    drawn, _ = project.deliverables.draw(batch, formats=["svg"])
     assert any("d [ns]" in file.read_text() for file in drawn if file.suffix == ".svg")
     ended = projects.quick(project.root, "run", "population_size=1,3", "--no-figures")
     note = "column 'd' of output 'out' has durations in 2, numbers in 2 runs; SQL shows all of them as numbers, of which only"

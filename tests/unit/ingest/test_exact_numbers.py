@@ -141,12 +141,12 @@ def test_every_text_format_keeps_them_also_when_rules_change(tmp_path: Path) -> 
     kept = {1: [str(FIRST), str(LAST), None], 2: [str(FIRST), str(LAST), "0.5"], 3: [str(FIRST), str(LAST), None]}
     assert [row["v_text"] for row in tables["c"]] == [text for texts in kept.values() for text in texts for _ in range(2)]
     assert all(rows == tables["c"] for rows in tables.values())
-    assert project.fsck().findings == ()
+    assert project.maintenance.fsck().findings == ()
     (project.root / "sierra.toml").write_text(config.replace('file = "j.json"', 'file = "j.json"\nmin_rows = 1'))
     again = sierra.open(project.root)
     assert again.run("population_size=1,2,3", figures=False).executed == 0
     assert {name: again.sql(EACH.format(name)).to_pylist() for name in "cljxp"} == tables
-    assert again.fsck().findings == ()
+    assert again.maintenance.fsck().findings == ()
 
 
 @pytest.mark.integration
@@ -175,7 +175,7 @@ def test_the_first_whole_number_that_double_cannot_hold_keeps_its_digits(tmp_pat
         rows = project.sql(EACH.format(name)).to_pylist()[::2]
         assert [row["v"] for row in rows] == [float(great), float(other), 7.0]
         assert [row["v_text"] for row in rows] == [str(great), None, None]
-    assert project.fsck().findings == ()
+    assert project.maintenance.fsck().findings == ()
 
 
 @pytest.mark.integration
@@ -190,7 +190,7 @@ def test_sql_has_the_texts_of_whole_numbers_with_a_decimal_point(tmp_path: Path)
         assert [tuple(row.values()) for row in rows] == [(2.0**53, f"{2**53 + 1}.0")] * 2 + [(2.0, None)]
     told = projects.quick(project.root, "sql", "SELECT max(v) FROM c").stderr
     assert "the exact digits are in 'v_text'" in told
-    assert project.fsck().findings == ()
+    assert project.maintenance.fsck().findings == ()
 
 
 def test_a_replay_compares_the_texts_unless_the_numbers_may_differ() -> None:

@@ -76,7 +76,7 @@ open({1: "é.csv", 2: "_.csv", 3: "É.csv"}[n], "w").write("v\\n1,234\\n2,345\\n
     tables = {"é": 1, "_": 2, "É_2": 3}
     for table, n in tables.items():
         assert set(project.sql(f'SELECT v FROM "{table}"').column(0).to_pylist()) == {n}
-    assert project.fsck().findings == ()
+    assert project.maintenance.fsck().findings == ()
     assert projects.quick(project.root, "outputs", "--write").returncode == 0
     assert set(sierra.open(project.root).sql("SELECT v FROM É_2").column(0).to_pylist()) == {3}
 

@@ -35,7 +35,7 @@ def root(recorded: Path, tmp_path: Path) -> Path:
 
 
 def fsck(root: Path) -> Report:
-    return sierra.open(root).fsck()
+    return sierra.open(root).maintenance.fsck()
 
 
 def wrong(root: Path) -> list[tuple[Kind, str]]:
@@ -388,7 +388,7 @@ def repaired(root: Path) -> list[str]:
     before = stores.state(root)
     dry = json.loads(projects.quick(root, "fsck", "--repair", "--dry-run", "--json").stdout)["repaired"]
     assert stores.state(root) == before
-    done = list(sierra.open(root).repair().done)
+    done = list(sierra.open(root).maintenance.repair().done)
     assert len(done) >= len(dry) > 0
     return done
 

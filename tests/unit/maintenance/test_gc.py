@@ -73,7 +73,7 @@ def test_many_small_segments_are_merged_without_losing_rows(root: Path) -> None:
     assert projects.quick(root, "gc", "--yes").returncode == 0
     assert segments(root) <= 6 < count
     assert everything(root) == before
-    assert sierra.open(root).fsck().findings == ()
+    assert sierra.open(root).maintenance.fsck().findings == ()
     assert projects.quick(root, "gc", "--yes").stdout == "nothing to remove: everything is needed\n"
     assert sierra.open(root).run("population_size=1,2", figures=False).executed == 0
 
@@ -109,7 +109,7 @@ def test_unreferenced_and_unfinished_files_are_removed(root: Path) -> None:
     assert not store.rows("SELECT 1 FROM objects WHERE sha256 = $d", d=unneeded)
     assert not (root / ".sierra" / ".format.4194399").exists()
     assert list((root / ".sierra").glob("images/**/.*")) == []
-    assert sierra.open(root).fsck().findings == ()
+    assert sierra.open(root).maintenance.fsck().findings == ()
 
 
 @pytest.mark.integration
@@ -179,10 +179,10 @@ def test_killed_gc_neither_loses_nor_duplicates_rows(made: Path, tmp_path: Path)
         process.send_signal(signal.SIGKILL)
         process.wait()
         assert everything(root) == before
-        assert sierra.open(root).fsck().sound
+        assert sierra.open(root).maintenance.fsck().sound
         assert projects.quick(root, "gc", "--yes").returncode == 0
         assert everything(root) == before
-        assert sierra.open(root).fsck().findings == ()
+        assert sierra.open(root).maintenance.fsck().findings == ()
         shutil.rmtree(root)
 
 
@@ -216,4 +216,4 @@ def test_gc_keeps_files_that_a_reader_has_open(root: Path) -> None:
     again = gc.collect(store)
     assert again is not None
     assert again.left == 0
-    assert sierra.open(root).fsck().findings == ()
+    assert sierra.open(root).maintenance.fsck().findings == ()

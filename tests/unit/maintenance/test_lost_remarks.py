@@ -70,10 +70,10 @@ def test_a_repair_says_which_executions_have_lost_their_robots(tmp_path: Path, m
     robots.register(monkeypatch)
     root = robots.project(tmp_path / "p")
     sierra.open(root).run("population_size=2", runs=1, target="robots", figures=False)
-    assert sierra.open(root).fsck().findings == ()
+    assert sierra.open(root).maintenance.fsck().findings == ()
     [table] = root.glob(".sierra/segments/*/robots.parquet")
     flip(table)
-    repaired = sierra.open(root).repair()
+    repaired = sierra.open(root).maintenance.repair()
     assert repaired.report.sound
     [lost] = [one for one in repaired.report.findings if one.kind is Kind.UNKNOWN]
     assert lost.what == "the clocks, batteries and ends of the robots of executions are not recorded"

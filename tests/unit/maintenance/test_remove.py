@@ -69,7 +69,7 @@ def rows(root: Path, text: str, **more: Any) -> list[dict[str, Any]]:
 
 
 def sound(root: Path) -> bool:
-    report = sierra.open(root).fsck()
+    report = sierra.open(root).maintenance.fsck()
     assert [str(one) for one in report.findings] == []
     return report.sound
 
@@ -227,11 +227,11 @@ def test_what_a_cluster_did_for_a_batch_is_removed_with_it(root: Path) -> None:
     writer.records([DuplicateRow(execution["execution"], execution["run"], "a 1", execution["result"], True)])
     opened.store.publish(writer)
     for one in rows(root, "SELECT execution FROM executions WHERE environment = $e", e=environment):
-        opened.remove(one["execution"])
+        opened.records.remove(one["execution"])
     assert rows(root, "SELECT environment FROM environments WHERE environment = $e", e=environment)
     assert not rows(root, "FROM duplicates")
     assert rows(root, "FROM attempts")
-    opened.remove(batch)
+    opened.records.remove(batch)
     assert not rows(root, "FROM attempts")
     assert sound(root)
 
@@ -317,12 +317,12 @@ def test_killed_rm_has_removed_everything_or_nothing_and_can_be_repeated(recorde
         count = rows(root, "SELECT count(*) AS n FROM executions")[0]["n"]
         assert count in (2, 12)
         outcomes.add(count)
-        assert sierra.open(root).fsck().sound
+        assert sierra.open(root).maintenance.fsck().sound
         ended = projects.quick(root, "rm", *both, "--yes")
         assert ended.returncode == (0 if count == 12 else 2)
         assert rows(root, "SELECT count(*) AS n FROM executions") == [{"n": 2}]
         sierra.open(root).run("noise=0.5", "population_size=1", figures=False)
-        assert sierra.open(root).fsck().sound
+        assert sierra.open(root).maintenance.fsck().sound
         shutil.rmtree(root)
     assert 12 in outcomes
 

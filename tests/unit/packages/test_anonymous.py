@@ -135,7 +135,7 @@ def values(name: str, content: bytes, path: Path) -> Iterator[tuple[str, bytes]]
 def test_an_anonymous_package_shows_nobody_and_works_as_others_do(root: Path, tmp_path: Path) -> None:
     project = sierra.open(root)
     ids = [one.batch for one in project.batches]
-    packed = project.package(*ids, report=False, path=tmp_path / "one.zip", anonymous=True)
+    packed = project.packages.pack(*ids, report=False, path=tmp_path / "one.zip", anonymous=True)
     assert packed is not None
     assert any("Jane Doe" in word for word in packed.preview.searched)
     commit = subprocess.run(["git", "rev-parse", "HEAD"], cwd=root, check=True, capture_output=True, text=True).stdout.strip()
@@ -150,7 +150,7 @@ def test_an_anonymous_package_shows_nobody_and_works_as_others_do(root: Path, tm
         if word.lower().encode() in content.lower()
     ]
     assert seen == []
-    sierra.open(root).package(*ids, report=False, path=tmp_path / "two.zip", anonymous=True)
+    sierra.open(root).packages.pack(*ids, report=False, path=tmp_path / "two.zip", anonymous=True)
     assert (tmp_path / "one.zip").read_bytes() == (tmp_path / "two.zip").read_bytes()
     with zipfile.ZipFile(tmp_path / "one.zip") as file:
         file.extractall(tmp_path / "one")
@@ -163,7 +163,7 @@ def test_an_anonymous_package_shows_nobody_and_works_as_others_do(root: Path, tm
     ).stdout
     assert "redacted: for double-blind review" in said
     other = sierra.open(tmp_path / "one/project")
-    assert other.fsck().sound
+    assert other.maintenance.fsck().sound
     assert [one.batch for one in other.batches] == ids
     same = (
         "SELECT run, result, wall_s, seed, epoch_us(ended) - epoch_us(started) AS took "
@@ -178,10 +178,10 @@ def test_an_anonymous_package_shows_nobody_and_works_as_others_do(root: Path, tm
     assert len(project.sql(unmarked).to_pylist()) == 7
     assert {row["host"] for row in other.sql("SELECT host FROM executions").to_pylist()} == {"host-1"}
     assert other.replay(ids[0], runs=1).verdict == "identical"
-    assert other.package(*ids, report=False, path=tmp_path / "again.zip", anonymous=True) is not None
-    assert other.fsck().sound
+    assert other.packages.pack(*ids, report=False, path=tmp_path / "again.zip", anonymous=True) is not None
+    assert other.maintenance.fsck().sound
     assert projects.quick(other.root, "rm", ids[0], "--yes").returncode == 0
-    assert sierra.open(other.root).fsck().sound
+    assert sierra.open(other.root).maintenance.fsck().sound
     assert {row["batch"] for row in other.sql("SELECT batch FROM redactions").to_pylist()} == {ids[1]}
     answer = projects.quick(tmp_path, "open", "one.zip")
     assert "anonymous: hosts, folders" in answer.stdout
@@ -212,14 +212,14 @@ open("more.csv", "w").write("n,who\\n1,nobody\\n2,JANELAB\\n")
         assert [line for line in places if line.endswith(place)], (place, places)
     assert "places in the package would show who made it, as project/sim.py, line 1" in places[-1]
     with pytest.raises(Identifying, match="Example University") as caught:
-        sierra.open(root).package(
+        sierra.open(root).packages.pack(
             batch, report=False, path=tmp_path / "x.zip", anonymous=True, allow=["jane_doe", "by Jane Doe", "JaneLab"]
         )
     assert all("Example University" in place for place in caught.value.places)
     accepted = [word for text in ("doe", "jane doe", "jane_doe", "janelab", "Example University") for word in ("--allow", text)]
     assert projects.quick(root, "package", batch, "--no-report", "-o", "../x.zip", "--anonymous", *accepted).returncode == 0
     with pytest.raises(UsageError, match="add --anonymous"):
-        sierra.open(root).package(batch, report=False, path=tmp_path / "y.zip", allow=["x"])
+        sierra.open(root).packages.pack(batch, report=False, path=tmp_path / "y.zip", allow=["x"])
 
 
 @pytest.mark.integration

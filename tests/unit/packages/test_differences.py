@@ -32,7 +32,9 @@ def test_names_with_a_clock_are_no_difference_between_packages(tmp_path: Path) -
     for name, value in (("a", "0"), ("b", "0"), ("c", "5")):
         extra.write_text(value)
         project = sierra.open(tmp_path / name)
-        project.package(project.run("population_size=1", figures=False).batch, report=False, path=tmp_path / f"{name}.zip")
+        project.packages.pack(
+            project.run("population_size=1", figures=False).batch, report=False, path=tmp_path / f"{name}.zip"
+        )
     said = projects.quick(tmp_path, "diff", "a.zip", "b.zip").stdout
     assert said.splitlines()[-1] == "the same: batches, runs, source, programs, environment, results"
     said = projects.quick(tmp_path, "diff", "a.zip", "c.zip").stdout

@@ -19,7 +19,7 @@ pytestmark = pytest.mark.integration
 def test_figures_are_packed_as_drawn_and_stale_ones_are_named(tmp_path: Path) -> None:
     root = projects.make(tmp_path / "project", projects.CONFIG + PACKAGE)
     batch = sierra.open(root).run("population_size=1,2", runs=1, figures=True).batch
-    packed = sierra.open(root).package(batch, report=False, path=tmp_path / "one.zip")
+    packed = sierra.open(root).packages.pack(batch, report=False, path=tmp_path / "one.zip")
     drawn = {path.relative_to(root).as_posix(): path for path in root.glob("figures/*/[!.]*")}
     with zipfile.ZipFile(tmp_path / "one.zip") as file:
         assert {name for name in file.namelist() if name.startswith("figures/")} == drawn.keys()
@@ -40,7 +40,7 @@ def test_figures_are_packed_as_drawn_and_stale_ones_are_named(tmp_path: Path) ->
     assert projects.quick(tmp_path, "open", "one.zip", "figures", "other").returncode == 2
     stale = sorted(drawn)[0]
     drawn[stale].write_bytes(b"another")
-    packed = sierra.open(root).package(batch, report=False, path=tmp_path / "two.zip")
+    packed = sierra.open(root).packages.pack(batch, report=False, path=tmp_path / "two.zip")
     assert packed is not None
     [note] = packed.preview.notes
     assert f"of batch {batch[:10]} is not packed: {stale} is not the file that SIERRA made" in note

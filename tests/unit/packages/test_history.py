@@ -27,12 +27,12 @@ def test_the_history_of_the_recorded_commits_is_a_bundle(tmp_path: Path) -> None
         (root / "notes.txt").write_text("".join(f"line {one}\n" for one in range(number, 300)))
         projects.commit(root, f"number {number}")
     batch = sierra.open(root).run("population_size=1", runs=1, figures=False).batch
-    sierra.open(root).package(batch, report=False, path=tmp_path / "one.zip")
+    sierra.open(root).packages.pack(batch, report=False, path=tmp_path / "one.zip")
     (root / "later.txt").write_text("not recorded")
     projects.commit(root, "later")
     git(root, "-c", "gc.pruneExpire=now", "gc", "--aggressive", "--quiet")
     git(root, "config", "pack.window", "3")
-    packed = sierra.open(root).package(batch, report=False, path=tmp_path / "two.zip")
+    packed = sierra.open(root).packages.pack(batch, report=False, path=tmp_path / "two.zip")
     assert packed is not None
     assert packed.preview.notes == ()
     with zipfile.ZipFile(tmp_path / "one.zip") as one, zipfile.ZipFile(tmp_path / "two.zip") as two:
@@ -45,7 +45,7 @@ def test_the_history_of_the_recorded_commits_is_a_bundle(tmp_path: Path) -> None
     git(tmp_path, "clone", "--quiet", "--depth=1", f"file://{root}", "shallow")
     (root / ".sierra").rename(tmp_path / "shallow/.sierra")
     git(tmp_path / "shallow", "fetch", "--quiet", "--depth=1", "origin", git(root, "rev-parse", "HEAD~1").strip())
-    packed = sierra.open(tmp_path / "shallow").package(batch, report=False, path=tmp_path / "three.zip")
+    packed = sierra.open(tmp_path / "shallow").packages.pack(batch, report=False, path=tmp_path / "three.zip")
     assert packed is not None
     assert [
         "history of the commits is not packed: the repository is a shallow clone" in one for one in packed.preview.notes

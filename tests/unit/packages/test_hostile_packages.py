@@ -27,7 +27,7 @@ pytestmark = pytest.mark.integration
 def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = projects.make(tmp_path_factory.mktemp("hostile") / "project", projects.CONFIG + TOML)
     batch = sierra.open(root).run("population_size=1", figures=False).batch
-    sierra.open(root).package(batch, report=False, path=root.parent / "x.zip")
+    sierra.open(root).packages.pack(batch, report=False, path=root.parent / "x.zip")
     return root.parent / "x.zip"
 
 

@@ -49,8 +49,8 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     project = sierra.open(root)
     batches = [project.run(*query, figures=False).batch for query in (FIRST, SECOND)]
     project.replay(batches[0], runs=1)
-    project.package(batches[0], report=False, path=folder / "first.zip")
-    project.package(*batches, report=False, path=folder / "both.zip")
+    project.packages.pack(batches[0], report=False, path=folder / "first.zip")
+    project.packages.pack(*batches, report=False, path=folder / "both.zip")
     return root
 
 
@@ -80,22 +80,22 @@ def test_a_new_batch_is_read_like_one_of_this_store_and_keeps_its_origin(lab: Pa
     [package] = {one.package for one in project.batches}
     assert package is not None
     assert said.stdout.startswith(f"package {package[:10]}: ")
-    assert project.fsck().sound
+    assert project.maintenance.fsck().sound
     assert f"\npackage  {package}" not in projects.quick(other, "show", project.batches[0].batch).stdout
     assert "Coverage of a swarm" in projects.quick(other, "show", project.batches[0].batch).stdout
     execution = value(other, "SELECT min(execution) FROM executions")
     assert package[:10] in projects.quick(other, "show", execution).stdout
     assert value(other, "SELECT count(*) FROM replays") == 0
     before = stores.state(other)
-    again = project.import_package(lab.parent / "both.zip")
+    again = project.packages.import_records(lab.parent / "both.zip")
     assert (again.executions, again.known) == (0, 6)
-    project.import_package(lab.parent / "first.zip")
+    project.packages.import_records(lab.parent / "first.zip")
     assert {name for name in stores.state(other) if "segments" in name} == {name for name in before if "segments" in name}
 
 
 def test_imported_executions_are_not_reused_and_do_not_count_beside_own_ones(lab: Path, other: Path) -> None:
     project = sierra.open(other)
-    project.import_package(lab.parent / "both.zip")
+    project.packages.import_records(lab.parent / "both.zip")
     summary = project.run(*SECOND, figures=False)
     assert (summary.executed, summary.reused) == (4, 0)
     own = rows(other, "SELECT DISTINCT execution FROM all_judgements WHERE packages IS NULL")
@@ -112,8 +112,8 @@ def test_imported_executions_are_not_reused_and_do_not_count_beside_own_ones(lab
     assert "executed elsewhere; it came in package" in why
     assert "did not finish" not in why
     assert "executed with other programs" not in why
-    project.collect()
-    assert project.fsck().sound
+    project.maintenance.collect()
+    assert project.maintenance.fsck().sound
     assert sorted(row["execution"] for row in rows(other, effective)) == sorted(row["execution"] for row in own)
     again = project.run(*SECOND, figures=False)
     assert (again.executed, again.reused) == (0, 4)
@@ -128,13 +128,13 @@ def test_an_import_changes_no_result_of_a_batch_that_was_executed_here(lab: Path
         sierra.open(lab).run(*FIRST, figures=False)
     newer = lab.parent / "newer.zip"
     if not newer.exists():
-        sierra.open(lab).package(batch, report=False, path=newer)
-    done = project.import_package(newer)
+        sierra.open(lab).packages.pack(batch, report=False, path=newer)
+    done = project.packages.import_records(newer)
     assert [one.counts for one in done.batches] == [False]
     assert (rows(other, NOW), rows(other, "SELECT * FROM effective ORDER BY ALL")) == before
     assert value(other, "SELECT count(DISTINCT packages) FROM all_judgements") == 1
-    assert project.fsck().sound
-    project.import_package(lab.parent / "both.zip")
+    assert project.maintenance.fsck().sound
+    project.packages.import_records(lab.parent / "both.zip")
     assert rows(other, f"SELECT * FROM effective WHERE batch = '{batch}' ORDER BY ALL") == before[1]
     assert project.run(*FIRST, figures=False).reused == 4
     assert project.replay(batch, runs=1).runs
@@ -147,8 +147,8 @@ def test_an_import_changes_no_run_that_another_batch_executed_here(lab: Path, ot
     before = rows(other, NOW), rows(other, "SELECT run, status, execution FROM runs ORDER BY run")
     for _ in range(2):  # so that the other laboratory has the higher numbers
         batch = sierra.open(lab).run(*SECOND, figures=False).batch
-    sierra.open(lab).package(batch, report=False, path=other.parent / "second.zip")
-    done = project.import_package(other.parent / "second.zip")
+    sierra.open(lab).packages.pack(batch, report=False, path=other.parent / "second.zip")
+    done = project.packages.import_records(other.parent / "second.zip")
     assert [one.counts for one in done.batches] == [True]
     now = rows(other, NOW), rows(other, "SELECT run, status, execution FROM runs ORDER BY run")
     assert [[row for row in new if row in old] for new, old in zip(now, before, strict=True)] == list(before)
@@ -162,37 +162,37 @@ def test_an_import_changes_no_run_that_another_batch_executed_here(lab: Path, ot
 
 def test_a_claim_names_the_package_of_the_runs_that_decide_it(lab: Path, other: Path) -> None:
     project = sierra.open(other)
-    done = project.import_package(lab.parent / "first.zip")
+    done = project.packages.import_records(lab.parent / "first.zip")
     how = f'query = "{FIRST[0]}"\nsql = "SELECT count(*) = 4 AS holds FROM runs"\n'
     config = other / "sierra.toml"
     config.write_text(config.read_text() + f'[claims.all]\nsays = "All runs succeed."\npaper = "Fig. 1"\n{how}')
-    [claim] = sierra.open(other).claims()
+    [claim] = sierra.open(other).claims.evaluate()
     assert (claim.verdict, claim.batches) == ("holds", (done.batches[0].batch,))
     assert claim.notes == (f"batch {claim.batches[0][:10]} was not executed here: it came in package {done.package[:10]}",)
     sierra.open(other).run(*FIRST, figures=False)
-    [claim] = sierra.open(other).claims()
+    [claim] = sierra.open(other).claims.evaluate()
     assert (claim.verdict, claim.notes) == ("holds", ())
 
 
 @pytest.mark.nightly
 def test_a_package_of_imported_batches_keeps_whose_executions_count(lab: Path, other: Path, tmp_path: Path) -> None:
     project = sierra.open(other)
-    project.import_package(lab.parent / "both.zip")
+    project.packages.import_records(lab.parent / "both.zip")
     own = project.run(*SECOND, figures=False).batch
-    project.package(*(one.batch for one in project.batches), report=False, path=tmp_path / "again.zip")
+    project.packages.pack(*(one.batch for one in project.batches), report=False, path=tmp_path / "again.zip")
     third = stores.copy(lab.parent / "empty", tmp_path / "third")
-    sierra.open(third).import_package(tmp_path / "again.zip")
+    sierra.open(third).packages.import_records(tmp_path / "again.zip")
     for batch in (own, project.batches[0].batch):
         statement = f"SELECT run, execution FROM effective WHERE batch = '{batch}' ORDER BY ALL"
         assert rows(third, statement) == rows(other, statement)
     assert value(third, "SELECT max(len(packages)) FROM imported_sessions") == 2
-    back = sierra.open(lab).import_package(tmp_path / "again.zip")
+    back = sierra.open(lab).packages.import_records(tmp_path / "again.zip")
     assert back.executions == 4  # those of the other laboratory
     assert rows(
         lab, "SELECT count(*) AS n FROM effective JOIN all_judgements USING (judgement) WHERE packages IS NOT NULL"
     ) == [{"n": 0}]
-    sierra.open(third).remove(own)
-    assert sierra.open(third).fsck().sound
+    sierra.open(third).records.remove(own)
+    assert sierra.open(third).maintenance.fsck().sound
     assert value(third, f"{EFFECTIVE} WHERE packages IS NULL") == 0
 
 
@@ -200,7 +200,7 @@ def test_a_package_of_imported_batches_keeps_whose_executions_count(lab: Path, o
 def test_two_packages_are_compared_without_a_project(lab: Path, other: Path, tmp_path: Path) -> None:
     project = sierra.open(other)
     batch = project.run(*FIRST, figures=False).batch
-    project.package(batch, report=False, path=tmp_path / "theirs.zip")
+    project.packages.pack(batch, report=False, path=tmp_path / "theirs.zip")
     ours = str(lab.parent / "first.zip")
     said = projects.quick(tmp_path, "diff", ours, "theirs.zip")
     assert said.returncode == 1, said.stderr
@@ -237,18 +237,18 @@ def test_a_batch_of_a_store_is_compared_with_one_in_a_package(lab: Path, other: 
 def test_executions_whose_origin_is_lost_never_count_as_own_ones(lab: Path, other: Path) -> None:
     package = str(lab.parent / "first.zip")
     project = sierra.open(other)
-    project.import_package(package)
+    project.packages.import_records(package)
     second = project.run(*SECOND, figures=False).batch
     for lost in (other / ".sierra").rglob("imported_sessions.parquet"):
         lost.unlink()
     with pytest.raises(Damaged, match=r"imported_sessions\.parquet is missing"):
         sierra.open(other).batches  # noqa: B018 - a property
-    assert not sierra.open(other).fsck().sound
-    assert sierra.open(other).repair().report.sound
+    assert not sierra.open(other).maintenance.fsck().sound
+    assert sierra.open(other).maintenance.repair().report.sound
     assert value(other, EFFECTIVE) == 6  # four executions; two of them also count in the first batch
     assert [row["batch"] for row in rows(other, "SELECT DISTINCT batch FROM executions")] == [second]
-    sierra.open(other).remove(*(one.batch for one in sierra.open(other).batches))
-    assert sierra.open(other).import_package(package).executions == 4
+    sierra.open(other).records.remove(*(one.batch for one in sierra.open(other).batches))
+    assert sierra.open(other).packages.import_records(package).executions == 4
     assert value(other, f"{EFFECTIVE} WHERE packages IS NULL") == 0
 
 
@@ -256,17 +256,17 @@ def test_executions_whose_origin_is_lost_never_count_as_own_ones(lab: Path, othe
 def test_gc_and_rm_keep_the_origin_of_imported_batches(lab: Path, other: Path) -> None:
     project = sierra.open(other)
     first = project.run(*FIRST, figures=False).batch
-    project.import_package(lab.parent / "both.zip")
+    project.packages.import_records(lab.parent / "both.zip")
     before = rows(other, "SELECT * FROM origins ORDER BY batch"), rows(other, NOW)
-    assert project.collect() is not None
+    assert project.maintenance.collect() is not None
     assert (rows(other, "SELECT * FROM origins ORDER BY batch"), rows(other, NOW)) == before
-    project.remove(first)
-    assert project.fsck().sound
+    project.records.remove(first)
+    assert project.maintenance.fsck().sound
     [left] = rows(other, "SELECT batch, packages IS NOT NULL AS imported FROM batches JOIN origins USING (batch)")
     assert left["imported"]
-    project.remove(left["batch"])
-    assert project.import_package(lab.parent / "both.zip").executions == 6
-    assert project.fsck().sound
+    project.records.remove(left["batch"])
+    assert project.packages.import_records(lab.parent / "both.zip").executions == 6
+    assert project.maintenance.fsck().sound
 
 
 KILLED = """
@@ -280,7 +280,7 @@ def published(self, segments):
     if count[0] == int(sys.argv[2]):
         os.kill(os.getpid(), signal.SIGKILL)
 Writer.publish = published
-sierra.open(".").import_package(sys.argv[1])
+sierra.open(".").packages.import_records(sys.argv[1])
 """
 
 
@@ -291,9 +291,9 @@ def test_a_killed_import_adds_nothing_and_the_next_one_completes(lab: Path, othe
         command = [sys.executable, "-c", KILLED, lab.parent / "both.zip", str(count)]
         assert subprocess.run(command, cwd=other, check=False).returncode == -signal.SIGKILL
         assert value(other, "SELECT count(*) FROM executions") == 0
-    assert project.import_package(lab.parent / "both.zip").executions == 6
-    assert project.fsck().sound
-    project.collect()
+    assert project.packages.import_records(lab.parent / "both.zip").executions == 6
+    assert project.maintenance.fsck().sound
+    project.maintenance.collect()
     assert rows(other, NOW) == rows(lab, NOW)
     assert not any(path.is_dir() for path in (other / ".sierra" / "work").iterdir())
 
@@ -305,7 +305,7 @@ def test_two_imports_at_once_add_one_copy(lab: Path, other: Path) -> None:
     assert [one.returncode for one in both] == [0, 0], said
     assert value(other, "SELECT count(*) FROM executions") == 6
     assert value(other, "SELECT count(*) FROM batch_runs") == 8
-    assert sierra.open(other).fsck().sound
+    assert sierra.open(other).maintenance.fsck().sound
 
 
 @pytest.mark.nightly
@@ -315,7 +315,7 @@ def test_a_full_disk_leaves_the_store_as_it_was(lab: Path, other: Path, monkeypa
     before = stores.state(other)
     monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=9))
     with pytest.raises(Missing, match="free space"):
-        project.import_package(lab.parent / "both.zip")
+        project.packages.import_records(lab.parent / "both.zip")
     monkeypatch.undo()
     assert {name for name in stores.state(other) if "segments" in name} == {name for name in before if "segments" in name}
 
@@ -366,7 +366,7 @@ def test_records_that_do_not_prove_themselves_are_refused(
 ) -> None:
     package = forged(lab.parent / "first.zip", tmp_path / "forged.zip", table, change)
     with pytest.raises(Damaged, match=said) as error:
-        sierra.open(other).import_package(package)
+        sierra.open(other).packages.import_records(package)
     assert "\n" not in str(error.value)
     assert not list((other / ".sierra" / "segments").iterdir())
 
@@ -377,7 +377,7 @@ def test_records_that_claim_to_be_of_this_store_are_refused(lab: Path, other: Pa
     theirs = forged(lab.parent / "first.zip", tmp_path / "forged.zip", "executions", column("session", lambda one: session))
     before = rows(other, "SELECT * FROM effective ORDER BY ALL")
     with pytest.raises(UsageError, match=f"session {session}, which was executed here"):
-        sierra.open(other).import_package(theirs)
+        sierra.open(other).packages.import_records(theirs)
     assert rows(other, "SELECT * FROM effective ORDER BY ALL") == before
 
 
@@ -385,7 +385,7 @@ def test_what_is_no_package_is_refused_in_one_line(other: Path, tmp_path: Path) 
     for content in (b"", b"PK\x03\x04" * 9):
         (tmp_path / "x.zip").write_bytes(content)
         with pytest.raises(SierraError):
-            sierra.open(other).import_package(tmp_path / "x.zip")
+            sierra.open(other).packages.import_records(tmp_path / "x.zip")
         said = projects.quick(other, "import", str(tmp_path / "x.zip"))
         assert said.returncode == 1
         assert said.stderr.count("\n") == 1

@@ -38,7 +38,7 @@ def packed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("packed")
     root = projects.make(folder / "project", projects.CONFIG + PACKAGE)
     batch = sierra.open(root).run("population_size=1", runs=1, figures=False).batch
-    assert sierra.open(root).package(batch, report=False, path=folder / "x.zip")
+    assert sierra.open(root).packages.pack(batch, report=False, path=folder / "x.zip")
     return folder / "x.zip"
 
 
@@ -117,7 +117,7 @@ def test_packed_wheels_are_installed_without_an_index(tmp_path: Path, packed: Pa
     monkeypatch.setattr(wheels, "_download", lambda folder, one, wanted, own: list(wheels._wheels([other, own])))
     monkeypatch.setattr(wheels, "_resolve", lambda folder, ones: None)
     project = sierra.open(packed.with_name("project"))
-    assert project.package(project.batches[0].batch, report=False, path=tmp_path / "y.zip", wheels=True)
+    assert project.packages.pack(project.batches[0].batch, report=False, path=tmp_path / "y.zip", wheels=True)
     with zipfile.ZipFile(tmp_path / "y.zip") as file:
         text, names = file.read("README.md").decode(), set(file.namelist())
         needs = file.read("REPRODUCING.md").decode()
@@ -158,11 +158,11 @@ def test_a_package_without_what_it_needs_is_refused_before_any_work(tmp_path: Pa
     monkeypatch.setattr(pack, "_batches", no_work)
     project = sierra.open(projects.make(tmp_path / "project"))
     with pytest.raises(ConfigError, match="title, authors, license"):
-        project.package("0" * 64, path=tmp_path / "x.zip", claims=True)
+        project.packages.pack("0" * 64, path=tmp_path / "x.zip", claims=True)
     project = sierra.open(projects.make(tmp_path / "other", projects.CONFIG + PACKAGE))
     monkeypatch.setattr(wheels, "pip_version", lambda: (_ for _ in ()).throw(Missing("wheels need pip")))
     with pytest.raises(Missing, match="wheels need pip"):
-        project.package("0" * 64, path=tmp_path / "x.zip", wheels=True)
+        project.packages.pack("0" * 64, path=tmp_path / "x.zip", wheels=True)
     inline = (
         PACKAGE.replace("[package]\n", "package.")
         .replace("\nauthors", "\npackage.authors")
@@ -170,4 +170,4 @@ def test_a_package_without_what_it_needs_is_refused_before_any_work(tmp_path: Pa
     )
     project = sierra.open(projects.make(tmp_path / "inline", inline + projects.CONFIG))
     with pytest.raises(ConfigError, match="must be a table of its own"):
-        project.package("0" * 64, path=tmp_path / "x.zip", anonymous=True)
+        project.packages.pack("0" * 64, path=tmp_path / "x.zip", anonymous=True)

@@ -67,7 +67,7 @@ def extracted(package: Path, folder: Path) -> Path:
 
 def test_a_package_is_a_project_that_replays_its_batch_without_git(root: Path, tmp_path: Path) -> None:
     first, second = batches(root)
-    packed = sierra.open(root).package(first, report=False, path=tmp_path / "one.zip")
+    packed = sierra.open(root).packages.pack(first, report=False, path=tmp_path / "one.zip")
     assert packed is not None
     assert packed.preview.notes == ()
     project = sierra.open(extracted(tmp_path / "one.zip", tmp_path / "one"))
@@ -79,7 +79,7 @@ def test_a_package_is_a_project_that_replays_its_batch_without_git(root: Path, t
     assert "reproduce.py --execute (it asks" in said
     assert [one.batch for one in project.batches] == [first]
     assert project.sql("SELECT count(*) AS n FROM executions").to_pylist() == [{"n": 4}]
-    assert project.fsck().sound
+    assert project.maintenance.fsck().sound
     assert "# later" not in (project.root / "sim.py").read_text()
     shown = [row["run"] for row in project.sql("SELECT run FROM runs").to_pylist()]
     assert len(shown) == 4
@@ -92,7 +92,7 @@ def test_a_package_is_a_project_that_replays_its_batch_without_git(root: Path, t
 
 def test_sources_of_several_batches_are_folders_and_dirty_ones_are_complete(root: Path, tmp_path: Path) -> None:
     first, second = batches(root)
-    packed = sierra.open(root).package(second, first, report=False, path=tmp_path / "two.zip")
+    packed = sierra.open(root).packages.pack(second, first, report=False, path=tmp_path / "two.zip")
     assert packed is not None
     assert [note for note in packed.preview.notes if "link" in note] == [
         "project/link is a symbolic link; it is in the store only"
@@ -105,7 +105,7 @@ def test_sources_of_several_batches_are_folders_and_dirty_ones_are_complete(root
     assert "# later" not in (folder / older / "sim.py").read_text()
     with zipfile.ZipFile(tmp_path / "two.zip") as file:
         assert file.getinfo("project/tool.sh").external_attr >> 16 & 0o111
-    assert sierra.open(folder / "project").fsck().sound
+    assert sierra.open(folder / "project").maintenance.fsck().sound
     assert sierra.open(folder / "project").replay(second, runs=1).verdict == "identical"
 
 
@@ -116,7 +116,7 @@ def test_the_same_records_give_the_same_package_in_any_time_zone(
     for name, zone in (("one", "UTC"), ("two", "America/New_York")):
         monkeypatch.setenv("TZ", zone)
         time.tzset()
-        sierra.open(root).package(batches(root)[0], report=False, path=tmp_path / f"{name}.zip")
+        sierra.open(root).packages.pack(batches(root)[0], report=False, path=tmp_path / f"{name}.zip")
     monkeypatch.undo()
     time.tzset()
     assert (tmp_path / "one.zip").read_bytes() == (tmp_path / "two.zip").read_bytes()
@@ -126,20 +126,21 @@ def test_the_same_records_give_the_same_package_in_any_time_zone(
 def test_packing_changes_nothing_in_the_project_and_leaves_nothing_beside_the_file(root: Path, tmp_path: Path) -> None:
     before = sorted(path for path in root.rglob("*") if ".git/" not in str(path))
     assert (
-        sierra.open(root).package(batches(root)[0], report=False, path=tmp_path / "no.zip", agree=lambda preview: False) is None
+        sierra.open(root).packages.pack(batches(root)[0], report=False, path=tmp_path / "no.zip", agree=lambda preview: False)
+        is None
     )
-    sierra.open(root).package(batches(root)[0], report=False, path=tmp_path / "one.zip")
+    sierra.open(root).packages.pack(batches(root)[0], report=False, path=tmp_path / "one.zip")
     assert sorted(path for path in root.rglob("*") if ".git/" not in str(path)) == before
     assert os.listdir(tmp_path) == ["one.zip"]  # noqa: PTH208 - names only
     with pytest.raises(UsageError, match="exists already"):
-        sierra.open(root).package(batches(root)[0], report=False, path=tmp_path / "one.zip")
+        sierra.open(root).packages.pack(batches(root)[0], report=False, path=tmp_path / "one.zip")
 
 
 def test_things_that_cannot_be_packed_are_refused_before_anything_is_written(tmp_path: Path) -> None:
     plain = projects.make(tmp_path / "plain")
     summary = sierra.open(plain).run("population_size=1", runs=1, figures=False)
     with pytest.raises(ConfigError, match="title, authors, license"):
-        sierra.open(plain).package(summary.batch, report=False, path=tmp_path / "x.zip")
+        sierra.open(plain).packages.pack(summary.batch, report=False, path=tmp_path / "x.zip")
     crlf = projects.make(tmp_path / "crlf", projects.CONFIG + TOML)
     (crlf / ".gitattributes").write_text("notes.txt text eol=crlf\n")
     (crlf / "notes.txt").write_text("one\ntwo\n")
@@ -147,16 +148,16 @@ def test_things_that_cannot_be_packed_are_refused_before_anything_is_written(tmp
     batch = sierra.open(crlf).run("population_size=1", runs=1, figures=False).batch
     [run] = sierra.open(crlf).sql("SELECT run FROM runs").to_pylist()
     with pytest.raises(UsageError, match="is the id of a run"):
-        sierra.open(crlf).package(run["run"], report=False, path=tmp_path / "x.zip")
+        sierra.open(crlf).packages.pack(run["run"], report=False, path=tmp_path / "x.zip")
     with pytest.raises(UsageError, match=r"git changes notes\.txt when it checks it out"):
-        sierra.open(crlf).package(batch, report=False, path=tmp_path / "x.zip")
+        sierra.open(crlf).packages.pack(batch, report=False, path=tmp_path / "x.zip")
     assert not (tmp_path / "x.zip").exists()
 
 
 def test_an_opened_package_answers_commands_that_read(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     first, _ = batches(root)
-    sierra.open(root).package(first, report=False, path=tmp_path / "one.zip")
+    sierra.open(root).packages.pack(first, report=False, path=tmp_path / "one.zip")
     told = projects.quick(tmp_path, "open", "one.zip")
     assert (told.returncode, "Coverage of a swarm" in told.stdout, first[:10] in told.stdout) == (0, True, True)
     count = projects.quick(tmp_path, "open", "one.zip", "sql", "SELECT count(*) AS n FROM executions", "--json")
@@ -173,7 +174,7 @@ def test_a_damaged_package_is_not_opened_and_leaves_nothing(
     root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    sierra.open(root).package(batches(root)[0], report=False, path=tmp_path / "one.zip")
+    sierra.open(root).packages.pack(batches(root)[0], report=False, path=tmp_path / "one.zip")
     whole = (tmp_path / "one.zip").read_bytes()
     with zipfile.ZipFile(tmp_path / "one.zip") as file:
         [segment] = [one for one in file.infolist() if one.filename.endswith("executions.parquet")]
@@ -217,13 +218,15 @@ def test_incomplete_batches_and_studies_are_named(tmp_path: Path) -> None:
     project = sierra.open(root)
     summary = project.run("population_size=1,2", runs=4, figures=False)
     failed = sum(run.status != "ok" for run in project.sql("SELECT status FROM executions").frame().itertuples())
-    packed = project.package(summary.batch, report=False, path=tmp_path / "failing.zip")
+    packed = project.packages.pack(summary.batch, report=False, path=tmp_path / "failing.zip")
     assert packed is not None
     assert f"batch {summary.batch[:10]}: {failed} of 8 runs without a successful execution" in packed.preview.facts
     (root / "sim.py").write_text(projects.SIMULATOR)
     project = sierra.open(root)
-    study = project.study(project.plan("population_size=1", runs=2), until="ci(coverage) < 0.001", max_runs=4, figures=False)
-    packed = project.package(study.looks[-1].row.batch, report=False, path=tmp_path / "study.zip")
+    study = project.studies.run(
+        project.plan("population_size=1", runs=2), until="ci(coverage) < 0.001", max_runs=4, figures=False
+    )
+    packed = project.packages.pack(study.looks[-1].row.batch, report=False, path=tmp_path / "study.zip")
     assert packed is not None
     count = len(study.looks)
     study_id = study.design.row.study
@@ -238,7 +241,7 @@ def test_a_package_whose_store_has_more_than_records_is_not_opened(
     root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    sierra.open(root).package(batches(root)[0], report=False, path=tmp_path / "one.zip")
+    sierra.open(root).packages.pack(batches(root)[0], report=False, path=tmp_path / "one.zip")
     with zipfile.ZipFile(tmp_path / "one.zip") as file:
         contents = {one: Member(one, file.read(one), "") for one in file.namelist() if one != MANIFEST}
     archive.write(tmp_path / "bad.zip", {**contents, name: Member(name, b"/", "")})
@@ -250,7 +253,7 @@ def test_a_package_with_an_unknown_description_is_not_opened_and_texts_control_n
     root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    sierra.open(root).package(batches(root)[0], report=False, path=tmp_path / "one.zip")
+    sierra.open(root).packages.pack(batches(root)[0], report=False, path=tmp_path / "one.zip")
     with zipfile.ZipFile(tmp_path / "one.zip") as file:
         contents = {one: Member(one, file.read(one), "") for one in file.namelist() if one != MANIFEST}
     loud = contents["package.json"].content.replace(b"Coverage of a swarm", b"\\u001b[2J")
@@ -267,7 +270,7 @@ def test_a_package_with_an_unknown_description_is_not_opened_and_texts_control_n
 @pytest.mark.nightly
 def test_the_instructions_have_commands_that_work_and_measured_needs(root: Path, tmp_path: Path) -> None:
     first, second = batches(root)
-    assert sierra.open(root).package(first, second, report=False, path=tmp_path / "both.zip")
+    assert sierra.open(root).packages.pack(first, second, report=False, path=tmp_path / "both.zip")
     project = extracted(tmp_path / "both.zip", tmp_path / "both")
     text = (project.parent / "REPRODUCING.md").read_text()
     described = json.loads((project.parent / "package.json").read_text())
@@ -319,21 +322,21 @@ def test_submodules_and_data_of_git_lfs_are_packed_and_replayed_without_git(
     first = sierra.open(root).run("population_size=1", runs=1, figures=False).batch
     (root / "library" / "factor.txt").write_text("4")
     second = sierra.open(root).run("population_size=2", runs=1, figures=False).batch
-    packed = sierra.open(root).package(first, second, report=False, path=tmp_path / "one.zip")
+    packed = sierra.open(root).packages.pack(first, second, report=False, path=tmp_path / "one.zip")
     assert packed is not None
     assert packed.preview.notes == ()
     seen: list[str] = []
     options = {"anonymous": True, "allow": (str(tmp_path),)}  # .gitmodules has the address of the submodule
-    sierra.open(root).package(
+    sierra.open(root).packages.pack(
         first, report=False, path=tmp_path / "review.zip", agree=lambda one: bool(seen.extend(one.notes)), **options
     )
     assert [note for note in seen if "commits of submodules" in note and note.endswith(": library")]
     project = sierra.open(extracted(tmp_path / "one.zip", tmp_path / "one"))
     assert (project.root / "library" / "factor.txt").read_text() == "4"
     assert (project.root / "big.dat").read_bytes() == (root / "big.dat").read_bytes()
-    assert project.fsck().findings == ()
+    assert project.maintenance.fsck().findings == ()
     assert {project.replay(batch).verdict for batch in (first, second)} == {"identical"}
-    again = project.package(first, report=False, path=tmp_path / "again.zip")
+    again = project.packages.pack(first, report=False, path=tmp_path / "again.zip")
     assert again is not None
     project = sierra.open(extracted(tmp_path / "again.zip", tmp_path / "again"))
     assert (project.root / "library" / "factor.txt").read_text() == "3"

@@ -54,7 +54,7 @@ def packed(folder: Path, claims: str, simulator: str = projects.SIMULATOR, confi
     batch = project.run("population_size=1,2", figures=False).batch
     [most] = project.sql("SELECT max(coverage) AS most FROM swarm").to_pylist()
     (root / "sierra.toml").write_text(config + PACKAGE + claims.replace("{most}", repr(most["most"])))
-    sierra.open(root).package(batch, report=False, path=folder / "swarm.zip")
+    sierra.open(root).packages.pack(batch, report=False, path=folder / "swarm.zip")
     shutil.rmtree(root)
     return folder / "swarm.zip"
 
@@ -131,7 +131,7 @@ def test_variables_of_a_package_start_nothing_before_the_consent(tmp_path: Path)
     root = projects.make(tmp_path / "project", config + PACKAGE + claim("any", SQL.format("> 0")))
     (root / "sitecustomize.py").write_text(f"open({str(tmp_path / 'started')!r}, 'w')")
     batch = sierra.open(root).run("population_size=1,2", figures=False).batch
-    sierra.open(root).package(batch, report=False, path=tmp_path / "swarm.zip")
+    sierra.open(root).packages.pack(batch, report=False, path=tmp_path / "swarm.zip")
     (tmp_path / "started").unlink()
     assert reproduce(tmp_path, "swarm.zip")[0] == 3
     assert not (tmp_path / "started").exists()
@@ -169,7 +169,7 @@ def test_a_project_in_pyproject_toml_is_reproduced(tmp_path: Path) -> None:
     (root / "sierra.toml").unlink()
     (root / "pyproject.toml").write_text(text)
     batch = sierra.open(root).run("population_size=1,2", figures=False).batch
-    sierra.open(root).package(batch, report=False, path=tmp_path / "swarm.zip")
+    sierra.open(root).packages.pack(batch, report=False, path=tmp_path / "swarm.zip")
     code, said = reproduce(tmp_path, "swarm.zip", "--yes")
     assert (code, said["claims"][0]["verdict"], said["claims"][0]["ground"]) == (0, "holds", "re-executed")
 
@@ -305,7 +305,7 @@ def test_a_killed_reproduction_is_continued_in_the_same_folder(tmp_path: Path) -
     code, said = reproduce(tmp_path, str(package), "--yes")
     assert (code, said["batches"][0]["counts"], said["claims"][0]["ground"]) == whole
     assert project.sql(replays).to_pylist() == executed
-    assert project.fsck().sound
+    assert project.maintenance.fsck().sound
     (folder / "package" / "project" / "sim.py").write_text("changed")
     assert "is not what" in reproduce(tmp_path, str(package), "--yes")[1]["error"]
 

@@ -600,16 +600,16 @@ def test_a_store_that_does_not_tell_files_of_one_name_apart_is_sound_and_so_is_a
         patch.setattr(dependency_model, "fingerprint", dependency_model.fingerprint_by_name)
         project = sierra.open(folder)
         assert project.run("n=1", figures=False).executed == 1
-    assert sierra.open(folder).fsck().sound
+    assert sierra.open(folder).maintenance.fsck().sound
     assert [projects.run(folder, "n=1")[0]["executed"] for _ in range(2)] == [1, 0]
-    assert sierra.open(folder).fsck().sound
+    assert sierra.open(folder).maintenance.fsck().sound
     [batch] = [one.batch for one in sierra.open(folder).batches]
-    sierra.open(folder).package(batch, report=False, path=tmp_path / "one.zip", anonymous=True)
+    sierra.open(folder).packages.pack(batch, report=False, path=tmp_path / "one.zip", anonymous=True)
     with zipfile.ZipFile(tmp_path / "one.zip") as file:
         file.extractall(tmp_path / "one")
     other = sierra.open(tmp_path / "one" / "project")
     assert {"/redacted/1/map.txt", "/redacted/2/map.txt"} <= set(rows(other, "file"))
-    assert other.fsck().sound
+    assert other.maintenance.fsck().sound
 
 
 @pytest.mark.parametrize(

@@ -26,9 +26,9 @@ def test_ls_and_show_report_runs_whose_output_changed_in_a_replay(tmp_path: Path
     [first] = [run.taken.run for run in project.replay(batch, runs=1).runs][:1]
     assert [row.nondeterministic for row in project.batches] == [2]
     assert "2 not deterministic" in projects.quick(project.root, "ls").stdout
-    shown = project.show(first).nondeterminism
+    shown = project.records.show(first).nondeterminism
     assert [(row.executions, row.results, row.verdict) for row in shown] == [(2, 2, "different")]
-    assert len(project.show(batch).nondeterminism) == 2
+    assert len(project.records.show(batch).nondeterminism) == 2
     assert "nondeterminism:" in projects.quick(project.root, "show", first).stdout
 
 
@@ -55,7 +55,7 @@ def test_nondeterminism_is_detected_in_runs_executed_again_without_a_replay(tmp_
     again = sierra.open(project.root).run("population_size=1", figures=False)
     assert (again.batch, again.executed, again.reexecuted) == (batch, 2, 2)
     assert [row.nondeterministic for row in project.batches] == [2]
-    assert [row.verdict for row in project.show(batch).nondeterminism] == [None, None]
+    assert [row.verdict for row in project.records.show(batch).nondeterminism] == [None, None]
 
 
 @pytest.mark.integration

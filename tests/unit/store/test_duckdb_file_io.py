@@ -205,7 +205,7 @@ def _check(root: Path, names: tuple[str, ...]) -> None:
     assert {row["file"]: (row["n"], row["low"], row["high"]) for row in rows} == {
         f"{name}.csv": (2 * (place + 1), 1000 * place, place) for place, name in enumerate(names)
     }
-    report = project.fsck()
+    report = project.maintenance.fsck()
     assert report.findings == (), report
     assert {one.verdict for one in project.replay(summary.batch, runs=1).experiments} == {"identical"}
 

@@ -93,9 +93,9 @@ def test_segments_with_either_kind_of_names_are_merged_and_packed(root: Path, tm
     assert rows(root) == before
     assert len(sierra.open(root).store.segments()) < many
     assert projects.quick(root, "fsck").returncode == 0
-    project.package(*(one.batch for one in project.batches), path=tmp_path / "all.zip", report=False)
+    project.packages.pack(*(one.batch for one in project.batches), path=tmp_path / "all.zip", report=False)
     other = projects.make(tmp_path / "other")
-    sierra.open(other).import_package(tmp_path / "all.zip")
+    sierra.open(other).packages.import_records(tmp_path / "all.zip")
     assert rows(other)["swarm"] == before["swarm"]
     assert not [name for name in stores.state(other) if "swarm" in name]
 
@@ -125,7 +125,7 @@ def test_packages_of_the_former_format_are_opened_imported_and_reproduced(tmp_pa
     other = projects.make(tmp_path / "other")
     shown = projects.quick(other, "open", str(PACKAGE))
     assert shown.returncode == 0, shown.stderr
-    sierra.open(other).import_package(PACKAGE)
+    sierra.open(other).packages.import_records(PACKAGE)
     assert sierra.open(other).sql("SELECT round(sum(v), 3) AS v FROM swarm").to_pylist() == [{"v": 52.398}]
     for _ in range(2):  # the second time, the copy's store has the present number
         ended = projects.quick(tmp_path, "reproduce", str(PACKAGE), "--into", "again", "--yes")

@@ -254,7 +254,7 @@ def test_what_is_removed_is_in_no_index(project: Path) -> None:
     path = index_builder.build(paths_of(project))
     assert path is not None
     assert batch.encode() in path.read_bytes()
-    opened.remove(batch)
+    opened.records.remove(batch)
     for left in (project / ".sierra" / "segments").rglob("*"):
         assert left.is_dir() or batch.encode() not in left.read_bytes()
     assert not list(paths_of(project).index.iterdir())
@@ -281,17 +281,17 @@ def test_a_store_that_may_not_be_written_is_read_with_its_index(project: Path) -
 def test_fsck_compares_an_index_with_the_segments(project: Path, change: str, table: str) -> None:
     assert index_builder.build(paths_of(project)) is not None
     opened = sierra.open(project)
-    assert not opened.fsck().findings
+    assert not opened.maintenance.fsck().findings
     path = keep(project)
     connection = duckdb.connect(str(path))
     connection.execute(change)
     connection.close()
     index_files.publish(paths_of(project), 12, path)
-    [finding] = opened.fsck().findings
+    [finding] = opened.maintenance.fsck().findings
     assert finding.path.startswith("index/")
     assert f"its rows of {table} are not those of the segments" in finding.what
-    opened.repair()
-    assert not opened.fsck().findings
+    opened.maintenance.repair()
+    assert not opened.maintenance.fsck().findings
     assert not list(paths_of(project).index.iterdir())
 
 
@@ -309,29 +309,29 @@ def test_segments_that_others_replace_do_not_count(project: Path) -> None:
     opened = sierra.open(project)
     assert index_builder.build(paths_of(project)) is not None
     with opened.store.snapshot():
-        opened.remove(opened.batches[-1].batch)
+        opened.records.remove(opened.batches[-1].batch)
         assert answers(project) == unindexed(project)
-        opened.collect()
+        opened.maintenance.collect()
         assert answers(project) == unindexed(project)
         assert index_builder.build(paths_of(project)) is not None
         assert answers(project) == unindexed(project)
         with Store(project / ".sierra").snapshot() as snapshot:
             assert snapshot.listing.rest == []
-    opened.collect()
+    opened.maintenance.collect()
     assert not any(b"98677f6730518a21" in path.read_bytes() for path in index_files.published(paths_of(project).index))
-    assert not opened.fsck().findings
+    assert not opened.maintenance.fsck().findings
 
 
 def test_a_damaged_segment_that_replaces_others_is_looked_at_by_each_reader(project: Path) -> None:
     opened = sierra.open(project)
     with opened.store.snapshot():
-        opened.remove(opened.batches[-1].batch)
+        opened.records.remove(opened.batches[-1].batch)
     [replacing] = [one for one in segments.on_disk(paths_of(project).segments) if one.replaces and one.files]
     Path(min(replacing.files.values())).write_bytes(b"")
     assert index_builder.build(paths_of(project)) is not None
     with pytest.raises(Damaged, match=replacing.name):
         answers(project)
-    opened.repair()
+    opened.maintenance.repair()
     assert answers(project) == unindexed(project)
 
 
@@ -363,11 +363,11 @@ def test_a_removal_that_dies_leaves_no_rows_in_an_index(project: Path, monkeypat
         with monkeypatch.context() as patch:
             patch.setattr(step, lambda *_: 1 / 0)
             with pytest.raises(ZeroDivisionError):
-                sierra.open(root).remove(batch)
-        sierra.open(root).collect()
+                sierra.open(root).records.remove(batch)
+        sierra.open(root).maintenance.collect()
         assert of_batch(root, batch) == []
     assert of_batch(project, batch)
-    assert opened.fsck().sound
+    assert opened.maintenance.fsck().sound
 
 
 @pytest.mark.integration
@@ -388,7 +388,7 @@ def test_segments_that_a_repair_puts_aside_are_in_no_index(project: Path) -> Non
     assert index_builder.build(paths_of(project)) is not None
     for path in (project / ".sierra" / "segments").glob(f"{batch[:12]}-*/executions.parquet"):
         flip(path)
-    sierra.open(project).repair()
+    sierra.open(project).maintenance.repair()
     assert not index_files.published(paths_of(project).index)
 
 
@@ -424,7 +424,7 @@ def test_removing_needs_no_index_and_takes_what_a_killed_builder_has_left(
     batch = last_batch(project)
     index = project / ".sierra" / "index"
     index.write_text("no folder\n")
-    sierra.open(project).remove(batch)
+    sierra.open(project).records.remove(batch)
     assert index.read_text() == "no folder\n"
     assert not left.exists()
 
@@ -444,13 +444,13 @@ def test_a_folder_in_the_place_of_an_index_stops_neither_removing_nor_gc(project
     strange = path.with_name(f"{path.name[:9]}{'9' * 9}-{'0' * 16}.duckdb")
     strange.mkdir()
     flip(path)
-    sierra.open(project).collect()
+    sierra.open(project).maintenance.collect()
     assert not path.exists()
-    sierra.open(project).remove(last_batch(project))
+    sierra.open(project).records.remove(last_batch(project))
     assert strange.exists()
-    sierra.open(project).repair()
+    sierra.open(project).maintenance.repair()
     assert not strange.exists()
-    assert sierra.open(project).fsck().sound
+    assert sierra.open(project).maintenance.fsck().sound
 
 
 @pytest.mark.integration
@@ -500,7 +500,7 @@ def test_indexes_that_nobody_uses_any_more_are_not_kept_in_memory(project: Path)
         assert index_builder.build(paths_of(project)) is not None
         assert len(answers(project, STATEMENTS[:3])) == 5
         sierra.open(project).run(f"population_size={number + 5}", runs=1, figures=False)
-        assert not sierra.open(project).fsck().findings
+        assert not sierra.open(project).maintenance.fsck().findings
     gc.collect()
     assert len([path for path in index_reader._facts if path.parent == paths_of(project).index]) == 1
     assert len(copies_in_memory() - before) <= 2  # that of the next connection, and that of a connection that is kept
@@ -627,7 +627,7 @@ def test_columns_and_notes_do_not_depend_on_an_index(
 def test_fsck_finds_nothing_wrong_with_columns_of_lists_and_numbers(odd: tuple[Path, list[Path]]) -> None:
     root, indexes = odd
     copied = Path(shutil.copy(indexes[-1], paths_of(root).index))
-    assert not sierra.open(root).fsck().findings
+    assert not sierra.open(root).maintenance.fsck().findings
     copied.unlink()
 
 
@@ -637,7 +637,7 @@ def test_a_table_of_which_nothing_is_current_has_no_records(project: Path) -> No
     [replayed] = opened.store.values(str, "SELECT DISTINCT batch FROM executions WHERE purpose = 'replay'")
     assert index_builder.build(paths_of(project)) is not None
     with opened.store.snapshot():
-        opened.remove(replayed)
+        opened.records.remove(replayed)
         with opened.store.snapshot() as snapshot:
             assert snapshot.listing.without
             assert (snapshot.holds("replays"), snapshot.holds("executions")) == (False, True)

@@ -107,7 +107,7 @@ def found(root: Path) -> set[Any]:
     values = {row["v"] for row in project.sql("SELECT v FROM out").to_pylist()}
     within = {row["v"] for row in project.sql("SELECT v FROM out", within=batch.batch).to_pylist()}
     assert {row["status"] for row in project.sql("SELECT status FROM runs").to_pylist()} == {"ok"}
-    assert project.show(batch.batch).experiments[0].succeeded == 2
+    assert project.records.show(batch.batch).experiments[0].succeeded == 2
     return {statistics["mean"], *values, *within}
 
 
@@ -117,7 +117,7 @@ def test_the_later_session_is_effective_for_any_time_of_its_clock(root: Path, nu
     rewrite(root, later(number, by))
     assert found(root) == {2}
     assert ask(root).executed == 0
-    [old, new] = sierra.open(root).show(sierra.open(root).batches[0].batch).sessions
+    [old, new] = sierra.open(root).records.show(sierra.open(root).batches[0].batch).sessions
     assert old.started > new.started, "times stay as they were recorded"
     install(root, 3)
     assert ask(root).executed == 2

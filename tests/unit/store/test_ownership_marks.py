@@ -98,7 +98,7 @@ def test_entries_of_the_work_folder_that_are_not_sessions_are_kept_and_reported(
     assert projects.quick(root, "gc", "--yes").returncode == 0
     assert files(theirs) == before
     assert set(before) < set(files(work))
-    found = [finding.path for finding in sierra.open(root).fsck().findings]
+    found = [finding.path for finding in sierra.open(root).maintenance.fsck().findings]
     assert found == ["work/0123456789abcdef", "work/fedcba9876543210", "work/thesis"]
 
 
@@ -161,7 +161,7 @@ def test_gc_removes_only_segments_from_the_folder_of_damaged_files(recorded: Pat
     assert projects.quick(root, "gc", "--damaged", "--yes").returncode == 0
     assert [path.name for path in (root / ".sierra" / "damaged").iterdir()] == ["theirs"]
     assert files(root / ".sierra" / "damaged" / "theirs") == files(theirs)
-    assert [(one.kind, one.path) for one in sierra.open(root).fsck().findings] == [("foreign", "damaged/theirs")]
+    assert [(one.kind, one.path) for one in sierra.open(root).maintenance.fsck().findings] == [("foreign", "damaged/theirs")]
 
 
 def died(root: Path, theirs: Path, **fields: object) -> Path:

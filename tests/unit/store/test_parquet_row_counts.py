@@ -23,7 +23,7 @@ SAYS = projects.SIMULATOR + "print('fine' if seed % 2 else 'not so')\n"
 
 
 def good(project: Project, batch: str) -> list[int]:
-    return [row.succeeded for row in project.show(batch).experiments]
+    return [row.succeeded for row in project.records.show(batch).experiments]
 
 
 @pytest.mark.integration

@@ -28,7 +28,7 @@ def test_values_and_failures_of_replays_count_instead_of_the_recorded_ones(tmp_p
     values = "SELECT population_size AS size, number, coverage FROM swarm WHERE tick = 0 ORDER BY ALL"
     before = project.store.rows(values)
     first = min(row["run"] for row in project.sql("SELECT run FROM runs WHERE population_size = 1").to_pylist())
-    some = replay(project._loaded, project.store, batch, ReplayOptions(1, only=frozenset([first])))
+    some = replay(project.loaded, project.store, batch, ReplayOptions(1, only=frozenset([first])))
     assert [run.taken.run for run in some.runs] == [first]
     whole = project.replay(batch)
     store = project.store.replayed([whole.id])

@@ -64,7 +64,7 @@ def test_rows_of_removed_batches_are_gone(project: Project) -> None:
     first = stores.ask(project.root, "n=1")
     stores.ask(project.root, "n=2")
     assert project.store.values(int, COUNT) == [4]
-    project.remove(first)
+    project.records.remove(first)
     assert project.store.values(int, COUNT) == [2]
     assert project.store.rows(BY_BATCH) == others(project.store).rows(BY_BATCH)
 

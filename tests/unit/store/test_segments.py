@@ -177,7 +177,7 @@ def test_a_list_of_tables_is_compared_with_the_files_and_made_again_from_them(tm
     names = dict(line.split() for line in (folder / OUTPUTS).read_text().splitlines())
     (folder / OUTPUTS).write_text("".join(f"{k} {text}\n" for k, text in zip(names, reversed(names.values()), strict=True)))
     seal(folder)
-    found = [finding for finding in sierra.open(root).fsck().findings if finding.kind is Kind.INCONSISTENT]
+    found = [finding for finding in sierra.open(root).maintenance.fsck().findings if finding.kind is Kind.INCONSISTENT]
     assert [finding for finding in found if "names itself 'swarm'" in finding.what]
     folder = stores.files(root, "output.swarm")[0].parent
     (folder / OUTPUTS).unlink()

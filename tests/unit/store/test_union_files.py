@@ -80,7 +80,7 @@ def test_texts_in_one_experiment_do_not_change_the_numbers_of_others(tmp_path: P
     assert project.sql("SELECT max(v) AS m FROM t", within=batch).to_pylist() == [{"m": 100000.0}]
     with pytest.raises(UsageError, match="'v' of output 't' has numbers in some runs and other values in others"):
         project.statistics(batch, "t", "v")
-    files, notes = project.draw(batch)
+    files, notes = project.deliverables.draw(batch)
     assert not [file for file in files if "_v_" in file.name]
     assert [note for note in notes if "'v'" in note] == [
         "no figure of column 'v' of output 't': it has numbers in some runs and other values in others"
@@ -95,8 +95,8 @@ def test_axes_of_a_batch_keep_their_type_if_another_batch_has_texts(tmp_path: Pa
     numbers, texts = (project.run(query, figures=False).batch for query in ("name=5,10", "name=low,high"))
     rows = project.sql("SELECT DISTINCT name FROM swarm ORDER BY 1", within=numbers)
     assert rows.column(0).to_pylist() == [5, 10]
-    assert [row.values["name"] for row in project.show(numbers).experiments] == [5, 10]
-    assert [row.values["name"] for row in project.show(texts).experiments] == ["low", "high"]
+    assert [row.values["name"] for row in project.records.show(numbers).experiments] == [5, 10]
+    assert [row.values["name"] for row in project.records.show(texts).experiments] == ["low", "high"]
     table = project.statistics(numbers, "swarm", "coverage")
     assert table.column("name").to_pylist() == [5, 10]
     everywhere = project.sql("SELECT DISTINCT name, name_text FROM runs ORDER BY ALL").to_pylist()
@@ -224,4 +224,4 @@ def test_integers_next_to_fractions_of_other_runs_keep_all_digits(tmp_path: Path
     assert [row["v"] for row in rows] == sorted(map(float, wrote))
     assert [row["v_text"] for row in rows if row["v_text"]] == [str(GREAT)] * wrote.count(GREAT)
     assert project.statistics(summary.batch, "t", "v").column("n").to_pylist() == [12]
-    assert project.fsck().findings == ()
+    assert project.maintenance.fsck().findings == ()

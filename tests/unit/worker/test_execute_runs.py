@@ -136,7 +136,7 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (root / "tool.sh").chmod(0o755)
     projects.commit(root)
     batch = sierra.open(root).run("population_size=1,2", figures=False).batch
-    assert sierra.open(root).package(batch, report=False, path=root.parent / "x.zip") is not None
+    assert sierra.open(root).packages.pack(batch, report=False, path=root.parent / "x.zip") is not None
     with zipfile.ZipFile(root.parent / "x.zip") as file:
         file.extractall(root.parent / "x")
     shutil.rmtree(root)
@@ -201,7 +201,7 @@ def test_a_bad_end_that_counts_counts_without_sierra_too(rules: str, end: str, t
     success = f'[success]\nmarker = "stdout"\ncontains = "finished"\n{rules}\n'
     root = projects.make(tmp_path / "p", projects.CONFIG + success + ABOUT, simulator=projects.SIMULATOR + end)
     batch = sierra.open(root).run("population_size=1", runs=2, figures=False).batch
-    assert sierra.open(root).package(batch, report=False, path=tmp_path / "x.zip") is not None
+    assert sierra.open(root).packages.pack(batch, report=False, path=tmp_path / "x.zip") is not None
     with zipfile.ZipFile(tmp_path / "x.zip") as file:
         file.extractall(tmp_path / "x")
     status, printed = executed(tmp_path / "x", "--yes", f"--work={tmp_path / 'work'}")
@@ -254,7 +254,7 @@ def test_the_image_of_a_package_is_loaded_and_runs_have_no_network(require: Call
     root = containers.make(tmp_path / "project", marked, command=command, simulator=tools + simulator)
     (root / "sierra.toml").write_text((root / "sierra.toml").read_text().replace("[container]", f"{TOML}\n[container]"))
     batch = sierra.open(root).run("population_size=1,2", runs=1, figures=False, engine="podman").batch
-    sierra.open(root).package(batch, report=False, path=tmp_path / "x.zip")
+    sierra.open(root).packages.pack(batch, report=False, path=tmp_path / "x.zip")
     with zipfile.ZipFile(tmp_path / "x.zip") as file:
         file.extractall(tmp_path / "x")
     image = json.loads((tmp_path / "x/execution/plan.json").read_text())["batches"][0]["image"]["id"]

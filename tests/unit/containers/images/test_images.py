@@ -50,7 +50,7 @@ def project(tmp_path: Path) -> Project:
 
 def paths(project: Project, name: str) -> dict[str, str]:
     """Return the content of an image: each path with its type."""
-    return {path: entry.type for path, entry in project.image(name).files.items()}
+    return {path: entry.type for path, entry in project.images.contents(name).files.items()}
 
 
 def assert_refused(project: Project, name: str, *words: str) -> str:
@@ -81,10 +81,10 @@ def test_image_has_the_same_id_and_content_in_every_archive_format(project: Proj
     subprocess.run(["tar", "-xf", root / "oci.tar", "-C", root / "layout"], check=True)
     found = {}
     for name in ("docker.tar", "oci.tar", "plain.tar", "pieces.tar", "layout"):
-        pinned = project.pin(name)
+        pinned = project.images.pin(name)
         assert images.pinned(root, name) == pinned.image
         shutil.rmtree(root / ".sierra" / "images")
-        read = project.image(name)
+        read = project.images.contents(name)
         system = images.rootfs(root, StorePaths(root / ".sierra"), read.image)
         found[name] = (read.image.id, read.image.layers, read.listing, made.sha256(system.read_bytes()))
     assert len(set(found.values())) == 1, found
@@ -103,8 +103,8 @@ def test_layers_are_merged_as_container_engines_do(project: Project) -> None:
     )  # fmt: skip
     top = made.layer(("links/a", "another"), ("./gone", "again"))
     made.docker_archive(project.root / "sim.tar", [low, middle, top])
-    project.pin("sim.tar")
-    found = project.image("sim.tar")
+    project.images.pin("sim.tar")
+    found = project.images.contents("sim.tar")
     assert {path for path, kind in paths(project, "sim.tar").items() if kind == "file"} == {
         "keep", "gone", "folder/new", "file/now", "was", "links/a", "links/b", "links/c",
         "way/here", "folder/there",
@@ -129,10 +129,10 @@ def test_squashfs_contains_the_files_of_the_layers(project: Project, require: Ca
     require("mksquashfs")
     odd = made.layer(("a b/c\\d\"e'", "1"), ("ünï/名", "2"), ("hard => ünï/名", ""), ("x" * 150 + "/y", ""), ("null", ""))
     made.docker_archive(project.root / "sim.tar", [BASE, TOP, odd])
-    image = project.pin("sim.tar").image
+    image = project.images.pin("sim.tar").image
     system = images.rootfs(project.root, StorePaths(project.root / ".sierra"), image)
     entries, _ = squashfs_tools.listing(system)
-    there, wanted = {entry.path: entry for entry in entries}, project.image("sim.tar").files
+    there, wanted = {entry.path: entry for entry in entries}, project.images.contents("sim.tar").files
     assert {path: there.get(path) for path in wanted} == wanted
     beyond = {path: there[path].type for path in there.keys() - wanted.keys()}
     assert beyond == dict.fromkeys(("dev", "proc", "run", "sys", "tmp", "var", "var/tmp"), "folder"), "what apptainer mounts on"
@@ -144,20 +144,20 @@ def test_apptainer_mount_points_may_be_files_or_links_in_the_image(
 ) -> None:
     require("mksquashfs")
     made.docker_archive(project.root / "sim.tar", [BASE, made.layer(odd)])
-    image = project.pin("sim.tar").image
+    image = project.images.pin("sim.tar").image
     entries, _ = squashfs_tools.listing(images.rootfs(project.root, StorePaths(project.root / ".sierra"), image))
     [kept] = [entry for entry in entries if entry.path == odd[0].partition(" ")[0]]
-    assert kept == project.image("sim.tar").files[kept.path]
+    assert kept == project.images.contents("sim.tar").files[kept.path]
 
 
 def test_squashfs_and_sif_made_from_an_image_have_its_id(project: Project, require: Callable[..., str]) -> None:
     require("mksquashfs")
     root, store = project.root, StorePaths(project.root / ".sierra")
     made.docker_archive(root / "sim.tar", [BASE, TOP])
-    image = project.pin("sim.tar").image
+    image = project.images.pin("sim.tar").image
     shutil.copy(images.rootfs(root, store, image), root / "sim.sqfs")
     made.sif(root / "sim.sif", (root / "sim.sqfs").read_bytes())
-    assert {project.pin(name).image.id for name in ("sim.sqfs", "sim.sif")} == {image.id}
+    assert {project.images.pin(name).image.id for name in ("sim.sqfs", "sim.sif")} == {image.id}
     assert images.rootfs(root, store, images.pinned(root, "sim.sif")) == root / "sim.sif"
 
 
@@ -165,7 +165,7 @@ def test_damaged_or_missing_squashfs_is_rebuilt(project: Project, require: Calla
     require("mksquashfs")
     root, store = project.root, StorePaths(project.root / ".sierra")
     made.docker_archive(root / "sim.tar", [BASE])
-    image = project.pin("sim.tar").image
+    image = project.images.pin("sim.tar").image
     system = images.rootfs(root, store, image)
     good = system.read_bytes()
     system.write_bytes(good[:100] + b"x" + good[101:])
@@ -184,7 +184,7 @@ def test_programs_are_found_along_the_path_of_the_image(project: Project) -> Non
     )  # fmt: skip
     configured = made.config([BASE, top], config={"Env": ["PATH=/opt/bin:/bin", "LANG=C", "X=a=b"]})
     made.docker_archive(project.root / "sim.tar", [BASE, top], configured)
-    found = project.pin("sim.tar")
+    found = project.images.pin("sim.tar")
     assert found.image.variables == {"PATH": "/opt/bin:/bin", "LANG": "C", "X": "a=b"}
     assert found.program("tool") == "/opt/bin/tool"
     assert found.program("sh") == "/bin/sh"
@@ -213,7 +213,7 @@ def test_packages_of_dpkg_apk_and_python_are_listed(project: Project) -> None:
         ("usr/lib/python3/dist-packages/numpy-2.4.6.dist-info/METADATA", metadata),
     )
     made.docker_archive(project.root / "sim.tar", [made.layer(("bin/sh", "")), top])
-    assert project.pin("sim.tar").packages == {
+    assert project.images.pin("sim.tar").packages == {
         "apk": ("musl==1.2.4", "zlib==1.3"),
         "dpkg": ("base-files==12.4", "libc6==2.36-9"),
         "python": ("numpy==2.4.6",),
@@ -232,7 +232,7 @@ def test_image_labels_are_shown_without_escape_sequences(project: Project) -> No
 def test_image_survives_conversion_to_a_row_and_back(project: Project) -> None:
     configured = made.config([BASE], config={"Env": ["A=1"], "Labels": {"l": "1"}}, created="2023-11-14T22:13:20Z")
     made.docker_archive(project.root / "sim.tar", [BASE], configured)
-    found = project.pin("sim.tar")
+    found = project.images.pin("sim.tar")
     row = found.row()
     again = Contents.of_row(row, found.listing)
     assert again.image == replace(found.image, file="", sha256="")
@@ -244,9 +244,9 @@ def test_image_survives_conversion_to_a_row_and_back(project: Project) -> None:
 
 def test_pinned_images_are_neither_stray_for_fsck_nor_garbage_for_gc(project: Project) -> None:
     made.docker_archive(project.root / "sim.tar", [BASE])
-    project.pin("sim.tar")
+    project.images.pin("sim.tar")
     assert fsck.check(StorePaths(project.root / ".sierra"), project.root).report.sound
-    assert project.collection().nothing
+    assert project.maintenance.collection().nothing
 
 
 # ---------------------------------------------------------------- hostile and damaged archives
@@ -277,7 +277,7 @@ def test_absolute_names_and_links_resolve_within_the_image(project: Project, tmp
         ("host/file", "3"),
     )
     made.docker_archive(project.root / "sim.tar", [BASE, top])
-    project.pin("sim.tar")
+    project.images.pin("sim.tar")
     found = paths(project, "sim.tar")
     assert {"etc/absolute", "through"} <= found.keys()
     assert not (tmp_path / "file").exists()
@@ -381,10 +381,10 @@ def test_image_with_too_many_files_is_refused(project: Project, monkeypatch: pyt
 
 def test_damaged_layers_are_noticed_even_if_the_image_is_already_known(project: Project) -> None:
     made.docker_archive(project.root / "good.tar", [BASE, TOP])
-    project.pin("good.tar")
+    project.images.pin("good.tar")
     made.docker_archive(project.root / "bad.tar", [BASE, TOP], layer1=BASE)
     with pytest.raises(Damaged, match="layer 2 of 2"):
-        project.pin("bad.tar")
+        project.images.pin("bad.tar")
     assert list(images.all_pinned(project.root)) == ["good.tar"]
 
 
@@ -408,14 +408,14 @@ def system(tmp_path: Path, require: Callable[..., str]) -> bytes:
 
 
 def test_sif_is_identified_by_its_file_system(project: Project, system: bytes) -> None:
-    found = project.pin(made.sif(project.root / "a.sif", system).name)
+    found = project.images.pin(made.sif(project.root / "a.sif", system).name)
     assert found.image.id == "squashfs:" + made.sha256(system)
     assert (found.image.architecture, found.image.file) == ("amd64", "a.sif")
     assert found.image.variables == {"PATH": "/opt/bin:/bin", "A": "1"}
     assert found.labels == {"maintainer": "a"}
     assert found.sha256("/bin/tool") == made.sha256(b"t")
     (project.root / "b.sqfs").write_bytes(system)
-    assert project.pin("b.sqfs").image.id == found.image.id
+    assert project.images.pin("b.sqfs").image.id == found.image.id
     assert images.pinned(project.root, "b.sqfs").sha256 != images.pinned(project.root, "a.sif").sha256
 
 
@@ -496,7 +496,7 @@ def test_lock_file_does_not_depend_on_the_order_of_pins(project: Project) -> Non
     for order in (("a.tar", "b.tar"), ("b.tar", "a.tar", "b.tar")):
         (project.root / "sierra.lock").unlink(missing_ok=True)
         for name in order:
-            project.pin(name)
+            project.images.pin(name)
         texts.add((project.root / "sierra.lock").read_text())
     assert len(texts) == 1
     assert str(project.root) not in texts.pop()
@@ -514,7 +514,7 @@ def test_broken_lock_file_is_reported_in_one_line(project: Project, text: str) -
 
 def test_lock_file_with_an_invalid_id_is_refused(project: Project) -> None:
     made.docker_archive(project.root / "a.tar", [BASE])
-    project.pin("a.tar")
+    project.images.pin("a.tar")
     lock = project.root / "sierra.lock"
     lock.write_text(re.sub(r"sha256:[0-9a-f]{64}", "sha256:../../escape", lock.read_text()))
     with pytest.raises(SierraError, match="broken"):
@@ -524,7 +524,7 @@ def test_lock_file_with_an_invalid_id_is_refused(project: Project) -> None:
 @pytest.mark.integration
 def test_changed_image_file_fails_verification_even_with_the_same_time(project: Project) -> None:
     path = made.docker_archive(project.root / "sim.tar", [BASE])
-    image = project.pin("sim.tar").image
+    image = project.images.pin("sim.tar").image
     images.verify(project.root, image)
     before = path.stat()
     path.write_bytes(path.read_bytes().replace(b"a program", b"A PROGRAM"))
@@ -547,7 +547,7 @@ def test_image_for_another_architecture_is_refused(project: Project, system: byt
     made.sif(project.root / "sim.sif", system, architecture=other)
     for name in ("sim.tar", "sim.sif"):
         with pytest.raises(Missing, match=f"is for .*, but this machine is {images.machine()}"):
-            images.verify(project.root, project.pin(name).image)
+            images.verify(project.root, project.images.pin(name).image)
 
 
 def bytes_read() -> int:
@@ -561,7 +561,7 @@ def test_verification_does_not_read_unchanged_image_files_again(project: Project
     path = made.docker_archive(project.root / "sim.tar", [made.layer(("big", os.urandom(30_000_000)))])
     os.utime(path)
     time.sleep(2.1)  # recently changed files are read again
-    image = project.pin("sim.tar").image
+    image = project.images.pin("sim.tar").image
     before = bytes_read()
     images.verify(project.root, images.pinned(project.root, "sim.tar"))
     assert bytes_read() - before < 10_000_000
@@ -584,7 +584,7 @@ def test_full_disk_is_reported_and_no_partial_files_remain(
     small = disk(tmp_path / "small", "1m")
     project = sierra.open(projects.make(small / "p"))
     path = made.docker_archive(tmp_path / "sim.tar", [made.layer(("noise", os.urandom(3_000_000)))])
-    image = project.pin(str(path)).image
+    image = project.images.pin(str(path)).image
     with pytest.raises(Missing, match="No space left on device") as said:
         images.rootfs(project.root, StorePaths(project.root / ".sierra"), image)
     assert "\n" not in str(said.value)
@@ -598,7 +598,7 @@ def test_full_disk_is_reported_and_no_partial_files_remain(
 
 def test_exported_archive_is_verified_and_removed_if_damaged(project: Project, tmp_path: Path) -> None:
     made.docker_archive(project.root / "sim.tar", [BASE, TOP])
-    image = project.pin("sim.tar").image
+    image = project.images.pin("sim.tar").image
     done = quick(project.root, "image", "export", "sim.tar", str(tmp_path / "out.tar"), "--json")
     assert json.loads(done.stdout)["id"] == image.id
     assert oci.read(tmp_path / "out.tar").id == image.id

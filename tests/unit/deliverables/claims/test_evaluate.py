@@ -289,7 +289,7 @@ def test_baselines_of_batches_and_of_packages_find_regressions(recorded: Path, t
     (recorded / "sierra.toml").write_text(CONFIG + PACKAGE + claim("eight", value) + order)
     project = sierra.open(recorded)
     assert projects.quick(recorded, "package", "--claims", "--no-report", "-o", str(tmp_path / "old.zip")).returncode == 0
-    [old] = {one for found in project.claims() for one in found.batches}
+    [old] = {one for found in project.claims.evaluate() for one in found.batches}
     clone = tmp_path / "clone"
     shutil.copytree(recorded, clone, ignore=shutil.ignore_patterns(".sierra"))
     (clone / "sim.py").write_text(SIMULATOR.replace("count * tick", "0.9 * count * tick"))

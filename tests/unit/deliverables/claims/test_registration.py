@@ -111,7 +111,7 @@ def test_only_the_experiments_that_a_claim_names_count(root: Path) -> None:
     value = 'value = { column = "coverage", experiments = "population_size=2", expected = 8, margin = 99 }'
     write(root, claim(value), claim(name="all"))
     run(root)
-    found = {one.name: (one.registered, one.registration.reason) for one in sierra.open(root).claims()}
+    found = {one.name: (one.registered, one.registration.reason) for one in sierra.open(root).claims.evaluate()}
     assert found["covers"] == (Registered.PLANNED, "it was registered before 2 executions began")
     assert found["all"] == (Registered.EXPLORATORY, "2 of 4 executions began before it was registered")
 

@@ -145,7 +145,7 @@ def test_failed_runs_do_not_count_and_an_experiment_without_a_run_stops_the_stud
     root = projects.make(tmp_path / "some", simulator=FAILING.format(2))
     done = projects.quick(root, "run", *QUERY, "--until", "ci(coverage) < 99", "--max-runs", "6", "--runs", "6", "--no-figures")
     assert done.returncode == 1
-    (look,) = sierra.open(root).show(projects.sql(root, "SELECT study FROM studies")[0]["study"]).as_dict()["looks"]  # type: ignore[misc]
+    (look,) = sierra.open(root).records.show(projects.sql(root, "SELECT study FROM studies")[0]["study"]).as_dict()["looks"]  # type: ignore[misc]
     n = [one["n"] for one in look["intervals"]]
     assert (n[0], 0 < n[1] < 6, f"{6 - n[1]} failed run" in done.stderr) == (6, True, True)
     root = projects.make(tmp_path / "all", simulator=FAILING.format(1))
@@ -166,7 +166,7 @@ def test_a_project_that_changes_between_looks_ends_the_study(studied: tuple[Path
     project = sierra.open(root)
     plan = project.plan(*QUERY, runs=5)
     with pytest.raises(SierraError, match="the project has changed since the first look"):
-        project.study(plan, until="ci(coverage) < 0.1", max_runs=9, observer=Editor(), figures=False)
+        project.studies.run(plan, until="ci(coverage) < 0.1", max_runs=9, observer=Editor(), figures=False)
 
 
 @pytest.mark.nightly
@@ -183,7 +183,7 @@ def test_what_cannot_be_a_study_is_refused_in_one_line(studied: tuple[Path, dict
     assert "leave out --only" in refusal(root, *rule, "ci(coverage) < 1", "--only", "population_size=1")
     assert projects.sql(root, "SELECT count(*) AS n FROM studies") == [{"n": 1}]
     with pytest.raises(NotFound, match="no batch, experiment, run, execution or study"):
-        sierra.open(root).show("ffffffffffff")
+        sierra.open(root).records.show("ffffffffffff")
 
 
 @pytest.mark.nightly

@@ -46,7 +46,7 @@ def test_a_file_whose_batch_has_changed_is_reported(project: Path) -> None:
 def test_the_request_of_a_recorded_batch_gives_the_same_batch(project: Path) -> None:
     opened = sierra.open(project)
     batch = opened.run("noise=0.5", runs=1, sets=[("/arena/@size", "20")], figures=False).batch
-    assert opened.resolve(opened.plan(batch[:10]).request).batch.id == batch
+    assert opened.plans.resolve(opened.plan(batch[:10]).request).batch.id == batch
 
 
 @pytest.mark.parametrize(
