@@ -4,8 +4,8 @@ The examples in docstrings are executed by a test, in a project with the variabl
 write a table `swarm` with the columns `tick` and `coverage`.
 """
 
-from sierra.api.options import observer_for as observer_for
-from sierra.api.options import slots as slots
+from sierra.api.noun import observer_for as observer_for
+from sierra.api.noun import slots as slots
 from sierra.api.packages import IN_PACKAGE as IN_PACKAGE
 from sierra.api.packages import PACKAGED as PACKAGED
 from sierra.api.packages import report_package as report_package

@@ -9,14 +9,13 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Unpack
 
-from sierra.api.noun import Noun
-from sierra.api.options import observer_for
+from sierra.api.noun import Noun, observer_for
 from sierra.errors import Missing, UsageError
 from sierra.model import Measure
 from sierra.store.store import Store
 
 if TYPE_CHECKING:
-    from sierra.api.options import Settings
+    from sierra.api.noun import Settings
     from sierra.api.project import Project
     from sierra.deliverables.power import RunsForPower
     from sierra.deliverables.sample_size import RunsNeeded

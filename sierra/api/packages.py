@@ -7,8 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sierra.api.noun import Noun
-from sierra.api.options import observer_for, slots
+from sierra.api.noun import Noun, observer_for, slots
 from sierra.errors import NotFound, UsageError
 from sierra.store.store import Store
 from sierra.util.lazy_definitions import regex

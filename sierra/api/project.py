@@ -11,8 +11,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Unpack
 
-from sierra.api.noun import FORMER, former_method, noun, within_project
-from sierra.api.options import observer_for, slots
+from sierra.api.noun import FORMER, former_method, noun, observer_for, slots, within_project
 from sierra.config import current_project, find_project
 from sierra.errors import UsageError
 from sierra.store.layout import ProjectPaths, StorePaths
@@ -26,7 +25,7 @@ if TYPE_CHECKING:
     from sierra.api.deliverables import Deliverables
     from sierra.api.execution import Jobs, Plans, Studies
     from sierra.api.images import Images
-    from sierra.api.options import ExecutionOptions, Settings
+    from sierra.api.noun import ExecutionOptions, Settings
     from sierra.api.packages import Packages
     from sierra.api.paper import Paper
     from sierra.api.records import Maintenance, Records, Sources

@@ -7,11 +7,10 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from sierra.api.noun import Noun
 from sierra.errors import ConfigError, Damaged, Missing, NotFound, UsageError
-from sierra.provenance import source
 from sierra.store.layout import StorePaths
 
 if TYPE_CHECKING:
@@ -301,18 +300,19 @@ class Sources(Noun):
 
     def push(self, remote: str | None = None) -> list[Shared]:
         """Push the recorded sources, including submodules, to a git remote: see `sierra.provenance.source.share_refs`."""
-        self._check_git()
-        return source.share(self._project.root, "push", remote)
+        return self._share("push", remote)
 
     def fetch(self, remote: str | None = None) -> list[Shared]:
         """Fetch the sources that others have pushed, including submodules: see `sierra.provenance.source.share_refs`."""
-        self._check_git()
-        return source.share(self._project.root, "fetch", remote)
+        return self._share("fetch", remote)
 
-    def _check_git(self) -> None:
-        """Raise UsageError if the project's source is identified without git."""
+    def _share(self, direction: Literal["push", "fetch"], remote: str | None) -> list[Shared]:
+        """Push or fetch the sources. Raises UsageError if the project's source is identified without git."""
+        from sierra.provenance import source
+
         if not self._project.config.source.git:
             raise UsageError("[source] git = false: the store has the code, and git has none to share; remove the setting")
+        return source.share(self._project.root, direction, remote)
 
 
 class Maintenance(Noun):

@@ -1,9 +1,13 @@
-"""Making plans of requested queries: query → design → inputs."""
+"""Making plans of requested queries: query → design → inputs.
+
+Also: checks of a plan before anything executes: names, paths and arguments that cannot work.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,35 +23,77 @@ from sierra.design.factorial_design import GROUPED, PlanningProgress, design, ig
 from sierra.design.query import grammar
 from sierra.design.query.query_request import QueryRequest
 from sierra.errors import ConfigError, Missing
-from sierra.execution import (
-    around,
-    commands,
-    input_texts,
-    members,
-    plan_checks,
-    plan_notes,
-    project_source,
-    resolve_query,
-    shared_files,
-)
+from sierra.execution import around, commands, input_texts, members, plan_notes, project_source, resolve_query, shared_files
 from sierra.execution.build import recipe as build_recipe
 from sierra.execution.build.state import BuildState, look
 from sierra.execution.checkout import Checkout, programs_in
 from sierra.execution.plan import Plan
 from sierra.ingest.base import used as used_readers
 from sierra.ingest.base import with_files
-from sierra.model import IN_PROJECT, Query, RunSpec
+from sierra.model import IN_PROJECT, Batch, Query, RunSpec
 from sierra.provenance import environment, referenced_files, source
 from sierra.provenance.change_guard import guard
 from sierra.provenance.dependency_model import Kind, Program, Programs
 from sierra.store.layout import ProjectPaths, StorePaths
 from sierra.store.row_mapper import of_fields
 from sierra.store.row_types import EnvironmentRow
+from sierra.store.schema import RESERVED, check_name
 from sierra.store.store import Store
+from sierra.templates.base import ARGUMENTS
 from sierra.util import processors
 from sierra.util.fs import unescaped
 from sierra.util.hashing import sha256
+from sierra.util.text import few
 from sierra.util.version import __version__
+
+
+def check_paths(config: Project, query: Query, root: Path) -> None:
+    """Raise ConfigError if a template or a change names a file of the project by its absolute path on this machine."""
+    inside = re.compile("(?:" + "|".join(re.escape(f"{folder}/") for folder in {root, root.resolve()}) + r")([^\s\"'<>,;]+)")
+    texts = [(path, referenced_files.text(root / path)) for path in config.template_paths]
+    texts += [("sierra.toml", text) for text in input_texts.written(config)]
+    texts += [(change.why, change.value) for change in query.sets]
+    for where, text in texts:
+        if path_here := inside.search(text):
+            raise ConfigError(
+                f"{where}: {path_here[0]} is a path of this machine, and ids must not depend on it; "
+                f'write value = "{IN_PROJECT}{path_here[1]}" in a change'
+            )
+
+
+def check_arguments(batch: Batch, config: Project, command: Sequence[str], declared: run_values.Declared) -> None:
+    """Raise ConfigError if `{arguments}` stands for nothing, or if both template and variables give arguments."""
+    given = ARGUMENTS in batch.runs[0].names
+    if given and declared.arguments is not None:
+        raise ConfigError(f'{few(config.template_paths, 1)} provides arguments; use no "argument" of variables or the seed too')
+    if commands.SPLICED in command and not given:
+        of = f"{config.template} provides none" if config.template else "there is none"
+        raise ConfigError(f"command: {commands.SPLICED} needs a template that provides arguments; {of}")
+
+
+def check_names(project: LoadedProject) -> None:
+    """Check the names of outputs and variables against the store's own, and that the store's path is not a file.
+
+    Also checks that an output has no column names together with a header. Raises ConfigError, Missing.
+    """
+    for name, output in project.config.outputs.items():
+        if not check_name(name):
+            raise ConfigError(f"{project.file}: [outputs.{name}]: the store itself has a table {name!r}; use another name")
+        if output.columns and output.header:
+            hint = "columns is only for a CSV without header; set header = false too, or remove columns"
+            raise ConfigError(f"{project.file}: [outputs.{name}]: {hint}")
+    for name in project.config.variables:
+        if name.lower() in RESERVED:
+            raise ConfigError(
+                f"{project.file}: variable {name!r}: the store itself has a column of that name; use another name"
+            )
+        if (group := name.lower()) in GROUPED and (name != group or getattr(project.config, f"{group}s")):
+            cure = f"is [variables.{name}] or [{group}s.NAME], not both" if name == group else f"is written {group!r}"
+            raise ConfigError(f"{project.file}: variable {name!r}: a {group} {cure}")
+    root = ProjectPaths(project.root)
+    if root.store.exists() and not root.store.is_dir():
+        raise Missing(f"{root.store} is a file, but the store must be a folder with this path")
+
 
 OF_INPUTS = ("platforms", "templates", "criteria")
 """The kinds of plug-ins that make the inputs of runs."""
@@ -73,7 +119,7 @@ def _plan(project: LoadedProject, request: QueryRequest, engine: str | None, rep
     query = resolve_query.resolve(project, request)
     project = replace(project, config=members.configured(platform_options.merged(project.config, query)))
     config, root = project.config, project.root
-    plan_checks.check_names(project)
+    check_names(project)
     project.plugin_files()
     project_file.check_plugins(config)
     readers = used_readers(config.outputs, config.readers)
@@ -96,7 +142,7 @@ def _plan(project: LoadedProject, request: QueryRequest, engine: str | None, rep
     code = project_source.code(project)
     held = source.paths(code.manifest)
     texts = [root / path for path in config.template_paths]
-    plan_checks.check_paths(config, query, root)
+    check_paths(config, query, root)
     written = (text.replace(IN_PROJECT, "") for text in input_texts.written(config))
     data = referenced_files.data(texts, written, root, held, own)
     of_plugins = tuple(_of_plugins(project.plugin_files(OF_INPUTS), root))
@@ -130,7 +176,7 @@ def _plan(project: LoadedProject, request: QueryRequest, engine: str | None, rep
     batch = expansion.batch(report)
     if twice := set(batch.runs[0].names).intersection(row.name for row in beside):
         raise ConfigError(f"files: each run has a generated {min(twice)} in its folder; rename the file")
-    plan_checks.check_arguments(batch, config, command, declared)
+    check_arguments(batch, config, command, declared)
     built = _build_state(project, replace(spec, environment=variables, named_inputs=(), shared_files=None), code, contained)
     used, lacking = found_or(data, lambda: _used(spec, code, root, data, built))
     checkout = _committed(root, spec, code, used) if code.checkout else None

@@ -1,18 +1,22 @@
-"""Read everything that is recorded about one batch, experiment, run, execution or session."""
+"""Read everything that is recorded about one batch, experiment, run, execution or session.
+
+Also: where the executions of a batch or a run took place: isolations, image, programs and environment, as recorded.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import json
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from sierra.design import run_values
 from sierra.errors import Damaged
-from sierra.execution import commands, show_environment
+from sierra.execution import commands
 from sierra.execution.list_batches import OnCluster, on_clusters, whole
 from sierra.execution.observation.describe_files import summary
 from sierra.execution.observation.file_sets import UsedFile
-from sierra.execution.row_queries import axis_values, programs, required_row
+from sierra.execution.row_queries import RecordedProgram, axis_values, programs, required_row
 from sierra.execution.shown_records import (
     Attempt,
     CaptureOfBatch,
@@ -30,20 +34,27 @@ from sierra.execution.shown_records import (
     Shown,
     ShownBatch,
     ShownBuild,
+    ShownEnvironment,
     ShownExecution,
     ShownExperiment,
+    ShownImage,
+    ShownIsolation,
     ShownObservation,
     ShownRun,
     VerdictOnRun,
 )
 from sierra.store import endings
+from sierra.store.layout import STORE, WORK
 from sierra.store.recorded_files import INPUT_FOLDER, Recorded, contents, recorded, take
 from sierra.store.row_types import (
     ArtifactRow,
     BatchRow,
     BuildProductRow,
     BuildRow,
+    EnvironmentRow,
     ExecutionRow,
+    ImageRow,
+    IsolationRow,
     Of,
     SessionRow,
     SourceRow,
@@ -52,6 +63,70 @@ from sierra.store.row_types import (
 from sierra.store.schema import RECORDED, STAMPED, columns_with
 from sierra.store.store import ResolvedId, Snapshot, Store
 from sierra.util.text import natural
+
+
+class _Isolations(NamedTuple):
+    isolation: str
+    executions: int
+
+
+ISOLATIONS = """
+SELECT isolation, count(*) AS executions
+FROM executions e SEMI JOIN (SELECT run FROM batch_runs WHERE batch = $b) USING (run)
+WHERE purpose = 'run' AND isolation IN (SELECT isolation FROM isolations) GROUP BY isolation ORDER BY max(lamport) DESC
+"""
+
+
+def isolations(snapshot: Snapshot, batch: str) -> list[ShownIsolation]:
+    """Return the isolations of the executions of a batch's runs, most recent first."""
+    rows = snapshot.select(_Isolations, ISOLATIONS, b=batch)
+    return [_shown(snapshot, row.isolation, row.executions) for row in rows]
+
+
+def isolation(snapshot: Snapshot, identity: str | None) -> ShownIsolation | None:
+    """Return one isolation; None if the execution had none."""
+    return None if identity is None else _shown(snapshot, identity)
+
+
+def _shown(snapshot: Snapshot, identity: str, executions: int | None = None) -> ShownIsolation:
+    from sierra.containers.container_setup import limits
+
+    rows = snapshot.select(IsolationRow, "SELECT * FROM isolations WHERE isolation = $i", i=identity)
+    if not rows:
+        return ShownIsolation(identity, None, executions, {}, {})
+    return ShownIsolation(identity, rows[0], executions, json.loads(rows[0].mounts or "{}"), limits(rows[0]._asdict()))
+
+
+def image(snapshot: Snapshot, identity: str | None) -> ShownImage | None:
+    """Return one image; None if there was none."""
+    if identity is None:
+        return None
+    rows = snapshot.select(ImageRow, "SELECT * FROM images WHERE image = $i", i=identity)
+    if not rows:
+        return ShownImage(identity, None, {}, {})
+    columns = {"manifests": rows[0].manifests, "labels": rows[0].labels, "variables": rows[0].variables}
+    decoded = {name: json.loads(text or "{}") for name, text in columns.items()}
+    return ShownImage(identity, rows[0], json.loads(rows[0].packages or "{}"), decoded)
+
+
+def used_programs(snapshot: Snapshot, identity: str | None) -> list[RecordedProgram]:
+    """Return one set of programs.
+
+    A replay's copy of a project's program, which no longer exists, is left out if the project's own is recorded too.
+    """
+    used = programs(snapshot, [identity]) if identity else []
+    lasting = [program for program in used if f"/{STORE}/{WORK}/" not in program.path]
+    names = {program.name for program in lasting}
+    return [program for program in used if program in lasting or program.name not in names]
+
+
+def environment(snapshot: Snapshot, identity: str | None) -> ShownEnvironment | None:
+    """Return one environment; None if none is recorded."""
+    rows = snapshot.select(EnvironmentRow, "SELECT * FROM environments WHERE environment = $e", e=identity)
+    if not rows:
+        return None
+    limits, variables = (json.loads(text or "{}") for text in (rows[0].limits, rows[0].variables))
+    return ShownEnvironment(rows[0], limits, variables, rows[0].distributions.splitlines())
 
 
 def show(store: Store, prefix: str) -> Shown:
@@ -86,11 +161,11 @@ def _batch(snapshot: Snapshot, identity: str, clusters: Sequence[OnCluster]) -> 
         row=row._replace(controller=controller, scenario=scenario),
         spec=spec,
         experiments=experiments,
-        image=show_environment.image(snapshot, spec.image),
-        isolations=show_environment.isolations(snapshot, identity),
+        image=image(snapshot, spec.image),
+        isolations=isolations(snapshot, identity),
         source=_source(snapshot, identity, spec.source),
-        programs=show_environment.used_programs(snapshot, last.programs),
-        environment=show_environment.environment(snapshot, last.environment),
+        programs=used_programs(snapshot, last.programs),
+        environment=environment(snapshot, last.environment),
         build=_build(snapshot, identity),
         failures=_failures(snapshot, identity, experiments),
         nondeterminism=snapshot.select(Nondeterminism, NONDETERMINISM, b=identity, r=None),
@@ -321,11 +396,11 @@ def _execution(snapshot: Snapshot, identity: str) -> ShownExecution:
         row=row,
         attempts=snapshot.select(Attempt, ATTEMPTS_AT_RUN, r=row.run, e=identity),
         artifacts=sorted(artifacts, key=lambda artifact: natural(artifact.path)),
-        image=show_environment.image(snapshot, spec.image),
+        image=image(snapshot, spec.image),
         host_access=spec.host_access,
-        isolation=show_environment.isolation(snapshot, row.isolation),
-        programs=show_environment.used_programs(snapshot, row.programs),
-        environment=show_environment.environment(snapshot, row.environment),
+        isolation=isolation(snapshot, row.isolation),
+        programs=used_programs(snapshot, row.programs),
+        environment=environment(snapshot, row.environment),
         observation=_observation(snapshot, row),
         packages=snapshot.values(str, PACKAGES, s=row.session),
         records=dict(_records(snapshot, identity)),

@@ -68,7 +68,7 @@ def notes(store: Store, session: str) -> Iterator[str]:
 
 def changed_meanwhile(reasons: Iterable[str]) -> Iterator[str]:
     """Yield a warning with the files that changed while observed runs used them."""
-    from sierra.worker.file_contents import CHANGED as MEANWHILE
+    from sierra.worker.observed_record import CHANGED as MEANWHILE
 
     end = f": {MEANWHILE}"
     if names := list(dict.fromkeys(p.removesuffix(end) for reason in reasons for p in reason.split("; ") if p.endswith(end))):

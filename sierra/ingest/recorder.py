@@ -1,4 +1,7 @@
-"""The recorder, which writes results to segments of the store from time to time."""
+"""The recorder, which writes results to segments of the store from time to time.
+
+Also: a note on successful runs that wrote no file: they are no failures, because a program may only be timed.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,6 @@ from sierra.ingest.model import Shape
 from sierra.ingest.observations import WRITTEN, observed, written
 from sierra.ingest.read_into_segment import TableIngest, file_rows, recorded_names, tabled
 from sierra.ingest.recording_context import Context
-from sierra.ingest.silent_runs import SilentRuns
 from sierra.ingest.success import Judgement, judge
 from sierra.ingest.suspicious_tables import TableWarnings, as_files, lost
 from sierra.model import LateFiles, OutputFile, Result, Status
@@ -48,8 +50,36 @@ from sierra.util.fs import inside, write_whole
 from sierra.util.hashing import merkle, short
 from sierra.util.json_types import RecordValue
 from sierra.util.kept_log import kept_of, with_cause
+from sierra.util.text import one_line
 from sierra.worker.files import remove
 from sierra.worker.outputs import described, list_files
+
+LINES = 3
+"""The number of lines at the end of standard error that are shown."""
+SHOWN = 300
+
+
+class SilentRuns:
+    """The number of runs that wrote no file, with the last lines that one of them printed on standard error."""
+
+    def __init__(self) -> None:
+        self._runs = 0
+        self._said = ""
+
+    def add(self, stderr: Callable[[], bytes]) -> None:
+        """Count one run; `stderr` reads the end of its standard error."""
+        self._runs += 1
+        if not self._said:
+            lines = [line.strip() for line in stderr().decode("utf-8", "replace").splitlines()]
+            self._said = " / ".join([one_line(line) for line in lines if line][-LINES:])[-SHOWN:]
+
+    def notes(self) -> Iterator[str]:
+        if self._runs:
+            one = self._runs == 1
+            who, whose = ("1 run", "its program") if one else (f"{self._runs} runs", "their programs")
+            said = f"said on stderr: {self._said}" if self._said else "said nothing on stderr"
+            yield f"{who} wrote no file; {whose} {said}"
+
 
 PENDING_RUNS = 4_000
 PENDING_BYTES = 256 << 20

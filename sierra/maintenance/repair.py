@@ -7,37 +7,46 @@ written to a new segment, and the whole old segment is moved to `damaged/`. Save
 - An execution stays if its record, and all its artifacts, files, logs and rows, are present and give its result. Otherwise it
   is dropped, and `sierra run` executes it again.
 - It is also dropped if its segment has lost the list of imported sessions, unless another segment tells where it was made.
-- It stays, and no longer counts, if remarks on executions of its batch are lost: see `sierra.maintenance.lost_remarks`.
+- It stays, and no longer counts, if remarks on executions of its batch are lost: see below.
 - Verdicts of a replay are dropped if the replay itself is lost.
 - A batch stays if its id follows from its experiments and runs, and if all their inputs and its source are present. Otherwise
   the records of the batch are dropped, its executions stay, and the next run of its query reuses them.
 
 The same rule holds for records that were forged or written wrongly in segments whose bytes are sound.
+
+Also: executions on which remarks are lost: they do not count until somebody judges them again.
+
+Remarks that an execution does not count (tables `trials` and `findings`) take a success back. If the file with them is damaged,
+nobody knows which executions it named. So each success of its batch gets a new remark: it is kept, and it does not count.
 """
 
 from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
+from datetime import UTC, datetime
+from itertools import groupby
+from operator import attrgetter
 from pathlib import Path
 from typing import NamedTuple
 
 from sierra.errors import Damaged, Missing, SierraError
 from sierra.execution import sessions
-from sierra.maintenance import check_records, fsck, lost_remarks
+from sierra.maintenance import check_records, fsck
 from sierra.maintenance.check_files import DERIVED, FIXED
 from sierra.maintenance.check_records import Records
 from sierra.maintenance.findings import Kind
 from sierra.maintenance.fsck import Checked, Report, Tell
-from sierra.maintenance.lost_remarks import Doubtful
 from sierra.maintenance.transaction import aside, changing, publish, undisturbed
+from sierra.store import session_numbers
 from sierra.store.compaction import Compaction, Drop, groups, touched
+from sierra.store.lamport_clock import stamp
 from sierra.store.layout import StorePaths
-from sierra.store.row_types import About, Of
+from sierra.store.row_types import About, Of, TrialRow
 from sierra.store.schema import columns_with
-from sierra.store.segments import FORMAT, FORMATS, IMPORTED, MANIFEST, NAME, Segment, manifest
+from sierra.store.segments import FORMAT, FORMATS, IMPORTED, MANIFEST, NAME, SUFFIX, Segment, manifest
 from sierra.store.store import Snapshot
 from sierra.util.fs import write_whole
 from sierra.util.hashing import sha256, short
@@ -45,6 +54,64 @@ from sierra.util.lazy_definitions import dataclass, field
 from sierra.util.lazy_logger import Log
 from sierra.util.regular_files import read_regular
 from sierra.util.text import counted
+
+REMARKS = ("findings", "trials")
+"""The tables of remarks that take back successes of executions."""
+REASON = "remarks on executions of its batch were lost in a damaged file"
+SUCCESSES = """
+SELECT batch, execution FROM executions
+WHERE status IN ('ok', 'accepted') AND purpose = 'run' AND (
+    batch[:12] IN (SELECT value FROM doubtful)
+    OR run IN (SELECT run FROM batch_runs WHERE batch[:12] IN (SELECT value FROM doubtful))
+) ORDER BY ALL
+"""
+"""SQL: the successful executions of batches, and of their runs in other batches, by the beginnings of the batches' ids."""
+LAST = "SELECT * FROM trials WHERE list_contains($executions, execution)"
+
+
+class Doubtful(NamedTuple):
+    """A successful execution on which a remark may be lost."""
+
+    batch: str
+    execution: str
+
+
+def doubtful(paths: StorePaths, sound: Sequence[Segment], broken: Mapping[str, AbstractSet[str]]) -> list[Doubtful]:
+    """Return the successful executions of batches of which a file with remarks is lost, by batch.
+
+    `sound` are all segments with their sound files, `broken` the names of lost files by segment.
+    """
+    batches = {part.batch for part in sound if _has_lost(paths.segments / part.name, broken.get(part.name, frozenset()))}
+    if not batches:
+        return []
+    with Snapshot(paths.root, sound) as snapshot:
+        snapshot.add_table("doubtful", value=sorted(batches))
+        return snapshot.select(Doubtful, SUCCESSES)
+
+
+def _has_lost(folder: Path, broken: AbstractSet[str]) -> bool:
+    """Check if a segment has lost remarks. Without its MANIFEST, no file in it is sound."""
+    files = [f"{name}{SUFFIX}" for name in REMARKS]
+    return any(file in broken or (MANIFEST in broken and (folder / file).exists()) for file in files)
+
+
+def by_batch(found: Iterable[Doubtful]) -> Iterator[tuple[str, list[str]]]:
+    """Yield the batches, each with its executions."""
+    for batch, members in groupby(found, key=attrgetter("batch")):
+        yield batch, [one.execution for one in members]
+
+
+def remarks(root: Path, sound: Sequence[Segment], executions: Sequence[str], session: str) -> list[TrialRow]:
+    """Return a remark on each execution: it does not count. It is later than all sound records, and repeats the last remark."""
+    with Snapshot(root, sound) as snapshot:
+        last = {row.execution: row for row in snapshot.select(TrialRow, LAST, executions=list(executions))}
+        lamport = stamp(session_numbers.highest_of(snapshot, sound) + 1, session)
+    now = datetime.now(UTC)
+    return [
+        last.get(execution, TrialRow(execution, now, None))._replace(marked=now, valid=False, reason=REASON, lamport=lamport)
+        for execution in executions
+    ]
+
 
 log = Log(__name__)
 
@@ -192,7 +259,7 @@ def _salvage(paths: StorePaths, root: Path, checked: Checked, dry_run: bool, tel
         yield f"lost: {counted(len(loss.executions), 'execution')}; sierra run executes the effective ones again"
     if loss.replays:
         yield f"lost: {counted(len(loss.replays), 'replay')}; the executions stay, and their verdicts are removed"
-    for batch, executions in lost_remarks.by_batch(loss.doubtful):
+    for batch, executions in by_batch(loss.doubtful):
         yield (
             f"batch {short(batch)}: remarks on its executions are lost; {counted(len(executions), 'execution')} will not count "
             "until you judge them again (sierra trial valid EXECUTION)"
@@ -214,8 +281,8 @@ def _write(paths: StorePaths, root: Path, first: _Loss, tell: Tell) -> None:
             sound = checked.contents.sound
             for group in groups(segment for segment in loss.touched if NAME.fullmatch(segment.name)):
                 rewriting.write(group, loss.drop)
-            for batch, executions in lost_remarks.by_batch(loss.doubtful):
-                rewriting.new(batch).records(lost_remarks.remarks(paths.root, sound, executions, session.id))
+            for batch, executions in by_batch(loss.doubtful):
+                rewriting.new(batch).records(remarks(paths.root, sound, executions, session.id))
             return {segment.name for segment in sound}
 
         def may() -> None:
@@ -242,8 +309,8 @@ def _loss(paths: StorePaths, checked: Checked) -> _Loss:
         loss.executions |= _of_unknown_origin(paths, contents.sound, broken)
         loss.executions |= set(read.column(JUDGEMENTS, e=sorted(loss.executions)))
         loss.replays = set(check_records.lost_replays(read))
-        doubtful = lost_remarks.doubtful(paths, contents.sound, broken)
-        loss.doubtful = [success for success in doubtful if success.execution not in loss.executions]
+        successes = doubtful(paths, contents.sound, broken)
+        loss.doubtful = [success for success in successes if success.execution not in loss.executions]
         readable = [segment for segment in contents.sound if segment.name not in broken]
         going = {segment.name for segment in touched(read.snapshot, readable, loss.drop)}
         away = broken.keys() | going

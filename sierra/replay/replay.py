@@ -32,7 +32,7 @@ from sierra.model import Status
 from sierra.provenance import environment, reported_versions
 from sierra.provenance.change_guard import guard
 from sierra.provenance.dependency_model import Programs
-from sierra.replay import find_record, members
+from sierra.replay import compare_host, find_record
 from sierra.replay.compare_host import other_machine, other_programs, unlike_image, used_files
 from sierra.replay.find_record import Record
 from sierra.replay.judge_experiments import compare_runs, judge, recorded_metrics
@@ -118,9 +118,9 @@ class _Prepared:
     def _check_robots(self) -> None:
         config, id = self.project.config, self.record.found.id
         inputs = (files for _, files in find_record.inputs(self.record, self.record.runs, self.store))
-        members.check(self.runner, self.options.runner, id, inputs, self.project.robot_groups)
+        compare_host.check(self.runner, self.options.runner, id, inputs, self.project.robot_groups)
         if not self.options.unattended:
-            members.check_attended(id, self.project)
+            compare_host.check_attended(id, self.project)
         runs = [one.run for one in self.record.runs]
         self.record.notes += extensions.called("replay_notes", self.store, runs, bool(config.equivalence))
 
@@ -319,7 +319,7 @@ class _Replaying:
         before = len(record.notes)
         if of.takes_robots:
             recorded = [str(taken.execution) for taken in record.runs]
-            record.notes += members.other_processors(self._store, recorded, list(executed.executions.values()))
+            record.notes += compare_host.other_processors(self._store, recorded, list(executed.executions.values()))
         experiments = tuple(judge(of.project, self._store, record, compared, of.metrics, of.rules))
         self._say(record.notes[before:])
         return experiments

@@ -239,7 +239,7 @@ def needed(programs: Programs, search: str) -> tuple[Requirement, ...]:
     For what a Python installation contains, only names and versions are compared. The first program is the command's own. It is
     called by its path: see `sierra.execution.commands.CommandBuilder`.
     """
-    from sierra.worker import required_files
+    from sierra.worker import allocation
 
     digests = HashCache()
     files = [program for program in programs.all if program.kind != Kind.DISTRIBUTIONS]
@@ -252,7 +252,7 @@ def needed(programs: Programs, search: str) -> tuple[Requirement, ...]:
             )
             for program, sha256 in ((program, _content(program, digests)) for program in files)
         ),
-        *(Requirement(program.name, program.path, holds=required_files.installed(program.path)) for program in folders),
+        *(Requirement(program.name, program.path, holds=allocation.installed(program.path)) for program in folders),
     )
 
 

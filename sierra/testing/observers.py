@@ -25,8 +25,8 @@ from pathlib import Path
 
 from sierra.testing.assertions import holds, is_one_line, wait
 from sierra.util.lazy_definitions import dataclass
-from sierra.worker.file_contents import Contents, contents
 from sierra.worker.file_trace import LISTS, Observation, Trace, Way
+from sierra.worker.observed_record import Contents, contents
 from sierra.worker.processes import all_processes, state_of
 
 PATIENCE_S = 30.0

@@ -59,14 +59,13 @@ from types import FrameType
 from typing import Callable, Iterable, NamedTuple
 
 from sierra.worker import machine, program, result_log
-from sierra.worker.allocation import Allocation, scratch
+from sierra.worker.allocation import Allocation, Need, Needs, scratch
 from sierra.worker.element_jobs import Feeder
 from sierra.worker.errors import CannotContinue, explain
 from sierra.worker.files import CHUNK, remove, unlink
 from sierra.worker.journal import End, Event, GrowingJournal
 from sierra.worker.layout import LOGS, OBSERVED
 from sierra.worker.processes import Stops, adopt_orphans, birth, end_orphans, stdin_of
-from sierra.worker.required_files import Need, Needs
 from sierra.worker.result_log import Attempt, Changed, File, Finished, Pack, Requeued, Started, Trouble, line_of, short
 
 HOLD_S = 0.2

@@ -7,7 +7,7 @@ import re
 from typing import Iterable, Mapping
 
 from sierra.worker.file_trace import Trace
-from sierra.worker.trace_lines import Call, without_escapes
+from sierra.worker.traced_processes import Call, without_escapes
 
 LISTENED, REUSED, IN_USE, SEARCHED, TALKED = "listened", "reused", "in_use", "searched", "connected"
 SOCKET = re.compile(rb"-?\d+<socket:\[(\d+)\]>")

@@ -22,9 +22,9 @@ from sierra.worker.shared_services import SharedServices, own_ports, with_reason
 from sierra.worker.temporary_folders import Temporary
 
 if TYPE_CHECKING:
-    from sierra.worker.file_contents import Contents, Hashed
     from sierra.worker.file_names import Names
     from sierra.worker.file_trace import Observation, Trace, Way
+    from sierra.worker.observed_record import Contents, Hashed
 
 TRACED_S = 0.004  # by which a run takes longer under a tracer,
 BYTE_S = 1e-6  # and for each byte of the log: 0.1 ms a call
@@ -193,7 +193,7 @@ class Observations:
 
     def contents(self, job: Job, trace: Trace, names: Names, began: int) -> Contents:
         """Return the contents of the files in a trace, which began at this time."""
-        from sierra.worker.file_contents import contents
+        from sierra.worker.observed_record import contents
 
         since = began - int(job.get("ahead", 0.0) * 1e9)
         return contents(trace, since, self.hashes.get, self.check_stop, names.is_listed)

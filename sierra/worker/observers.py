@@ -19,11 +19,10 @@ import time
 from typing import Callable, Iterable, Mapping, Sequence
 
 from sierra.worker import trace_log
-from sierra.worker.executables import starts
 from sierra.worker.file_trace import LISTS, SETTLE_S, Observation, Trace, Way, nothing
 from sierra.worker.files import CHUNK, is_full, size_of_file
 from sierra.worker.processes import all_processes, read_proc, state_of
-from sierra.worker.trace_log import CALLS, Log
+from sierra.worker.trace_log import CALLS, Log, starts
 
 OLDEST = (5, 3)  # the first version of strace with --seccomp-bpf
 QUIET = ("chld", "urg", "winch", "cont", "prof", "vtalrm")

@@ -4,11 +4,18 @@ Its client becomes the parent of the container's first process, which ends with 
 a container with its first process. A container therefore never outlives its client, and `stop` has nothing to do. The client
 forwards signals that ask it to end. Each of its own errors ends it with status 255, which programs may also return; the last
 line on standard error then tells the two apart.
+
+Also: the files of an image in a folder, for apptainer where it cannot mount a squashfs.
+
+The owner of a folder can change it. Therefore the state of each file just after unpacking is recorded (no program can set it:
+`sierra.provenance.hash_cache`). A folder whose state has changed, or has no recorded state, is unpacked again. Each user has a
+folder of their own beside the squashfs, because nobody can vouch for another user's folder.
 """
 
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import re
 import signal
@@ -20,16 +27,55 @@ from pathlib import Path
 
 from sierra.config.field_types import Table
 from sierra.containers import images
-from sierra.containers.engines import apptainer_ways_to_start, sandboxes
+from sierra.containers.engines import apptainer_ways_to_start
 from sierra.containers.engines.apptainer_ways_to_start import Launcher
 from sierra.containers.engines.base import Capabilities, ContainerSpec, Mount, Process, Supplied, WithoutOptions
 from sierra.containers.engines.client_errors import killed, last_line, mounted, signalled
-from sierra.containers.engines.hosts import HERE, Host, Notice, OtherHost
+from sierra.containers.engines.hosts import HERE, SLOWEST, Host, Notice, OtherHost
 from sierra.containers.images.image import Image
+from sierra.containers.images.sif_format import is_sif
+from sierra.containers.images.sif_format import read as read_sif
 from sierra.errors import Missing
 from sierra.model import Client, Result
-from sierra.store.layout import StorePaths
+from sierra.store.layout import StorePaths, user_engines
+from sierra.util.cache import Cache
 from sierra.util.lazy_definitions import regex
+
+MAX_ENTRIES = 64
+
+
+def prepare(squashfs: Path, identity: str, folder: Path) -> Path:
+    """Return `folder` with the files of a squashfs (or of the one in a SIF), unpacked if necessary. Raises Missing."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with _locked(folder):
+        unpack(HERE, squashfs, str(squashfs), identity, str(folder.resolve()))
+    return folder
+
+
+def unpack(host: Host, squashfs: Path, there: str, identity: str, folder: str) -> None:
+    """Unpack a squashfs on a host, unless the folder has its unchanged files. It has the path `there`. Raises Missing."""
+    cache = Cache(user_engines(), MAX_ENTRIES)
+    key = " ".join(("sandbox", *([f"on {host.name}"] if host.name else []), folder, identity))
+    limit = squashfs.stat().st_size / SLOWEST
+    if cache.get(key) == (host.call("tree_state", folder, timeout=limit) or "gone"):
+        return
+    offset = read_sif(squashfs).offset if is_sif(squashfs) else 0
+    if trouble := host.call("unpack", there, offset, folder, timeout=limit):
+        raise Missing(f"{host.name}: {trouble}" if host.name else trouble)
+    cache.put(key, host.call("tree_state", folder, timeout=limit))
+    cache.save()
+
+
+@contextlib.contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Hold a lock, so that only one process of this user at a time works on the folder."""
+    descriptor = os.open(folder.with_name(f".{folder.name}.lock"), os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)
+
 
 SCRIPT = Path(__file__).with_name("environment.sh")
 SOURCED = "/.singularity.d/env/99-zz-sierra.sh"
@@ -72,7 +118,7 @@ class Apptainer(WithoutOptions):
         squashfs = images.rootfs(root, store, image)
         if apptainer_ways_to_start.launcher().squashfs:
             return str(squashfs)
-        return str(sandboxes.prepare(squashfs, image.id, store.image(image.folder).sandbox(os.geteuid())))
+        return str(prepare(squashfs, image.id, store.image(image.folder).sandbox(os.geteuid())))
 
     def portable(self, image: Image, root: Path, store: StorePaths) -> Path:
         images.unchanged(root, image)
@@ -84,7 +130,7 @@ class Apptainer(WithoutOptions):
         if apptainer_ways_to_start.launcher(self._host).squashfs:
             return Supplied(placed.path, {placed.path: placed.state})
         folder = f"{Path(placed.path).parent}.files"
-        sandboxes.unpack(self._host, file, placed.path, image.id, folder)
+        unpack(self._host, file, placed.path, image.id, folder)
         return Supplied(folder)
 
     def client(self, box: ContainerSpec, process: Process) -> Client:

@@ -7,6 +7,12 @@ claim's text is read before the registration takes its number, so that nobody ca
 
 The numbers of two stores cannot be compared. So a registration only counts for executions that were made in the same store:
 those of this store, or those that came in the same package.
+
+Also: the normal form of a claim, which says what is claimed and how the runs decide it, without the layout of the file.
+
+It has the sentence, the queries with their criteria and runs per experiment, and the keys that decide the claim, each without
+those that have their default. It does not have the claim's name, nor where the paper shows it, nor what only matters for
+comparisons with a baseline. Nothing of the project is read or started, so that it may be a received one.
 """
 
 from __future__ import annotations
@@ -18,11 +24,13 @@ from datetime import UTC, datetime
 from functools import cache, partial
 from typing import NamedTuple
 
+from sierra.config.claim_table import DECISIONS, Claim
 from sierra.config.project_file import LoadedProject
+from sierra.deliverables.claims import rests_on
 from sierra.deliverables.claims.model import Registered, Registration
-from sierra.deliverables.claims.normal_form import normal_form
-from sierra.design.query import condition
+from sierra.design.query import condition, query_request
 from sierra.errors import DamagedFile, SierraError
+from sierra.execution.batches_of_queries import identity
 from sierra.execution.sessions import Session
 from sierra.store.batch_data import BatchData
 from sierra.store.claim_records import NO_BATCH, claim_id
@@ -32,6 +40,36 @@ from sierra.store.store import Store
 from sierra.util.json_types import JsonView
 from sierra.util.lazy_definitions import dataclass
 from sierra.util.text import counted, one_line
+
+OF_BASELINES = ("better", "regression")
+"""The keys of a value that are only used with a baseline."""
+
+
+def normal_form(project: LoadedProject, claim: Claim) -> dict[str, JsonView]:
+    """Return the normal form of a claim. Raises QueryError for a query that is not valid."""
+    kind = next(name for name in DECISIONS if getattr(claim, name))
+    decision = claim.model_dump(mode="json", include={kind}, exclude_defaults=True)[kind]
+    if kind == "value":
+        decision = {key: value for key, value in decision.items() if key not in OF_BASELINES}
+    form: dict[str, JsonView] = {"says": " ".join(claim.says.split()), kind: decision}
+    if claim.query:
+        form["query"] = identity(project, rests_on.request_of(claim))
+    else:
+        form["batches"] = [_batch(project, word) for word in claim.batches]
+    if claim.lost:
+        form["lost"] = claim.lost
+    if claim.plan_n:
+        form["plan_n"] = claim.plan_n
+    return form
+
+
+def _batch(project: LoadedProject, word: str) -> dict[str, JsonView]:
+    """Return the label and the query of a word of `batches`; for the prefix of an id, the prefix."""
+    label, _, name = word.rpartition("=")
+    if name in project.config.queries:
+        return {"label": label or name, "query": identity(project, query_request.request([name]))}
+    return {"label": label, "batch": name.lower()}
+
 
 OWN = "SELECT DISTINCT claim FROM registered_claims ANTI JOIN imported_sessions USING (session)"
 OF_PROJECT = "SELECT DISTINCT claim FROM registered_claims WHERE list_contains($claims, claim) OR list_contains($names, name)"

@@ -44,7 +44,7 @@ def is_same(here: str, use: str, sha256: str | None, named: Mapping[str, Path], 
     if use == "missed":
         return not os.path.exists(here)  # noqa: PTH110 - for speed
     if use == "found":
-        from sierra.worker.file_contents import sha256_of_kind
+        from sierra.worker.observed_record import sha256_of_kind
 
         return sha256_of_kind(here) == sha256
     if sha256 is None:

@@ -24,10 +24,10 @@ from sierra.deliverables.gallery import Gallery
 from sierra.deliverables.html.tables import exact
 from sierra.deliverables.record import origin_of
 from sierra.errors import NotFound, UsageError
-from sierra.extensions.explorer import batch_list, declarations, recorded_files, run_details
-from sierra.extensions.explorer.batch_list import BatchList
+from sierra.extensions.explorer import declarations, recorded_files, run_details
 from sierra.extensions.explorer.checked_files import Hashes
 from sierra.extensions.explorer.limit import AGAIN_S, Limit
+from sierra.extensions.explorer.run_details import BatchList
 from sierra.extensions.explorer.run_table import ConditionError, RunTable, Wanted
 from sierra.extensions.explorer.snapshots import Kept, Opened, T
 from sierra.extensions.explorer.tickets import ServedFile, Tickets
@@ -109,7 +109,7 @@ class Answers:
         with self._one, self._limited():
             state = self.state()
             if again or self._batches is None or self._batches.state != state:
-                self._batches = batch_list.read(self._store, state)
+                self._batches = run_details.read(self._store, state)
             return self._batches.part(words, max(0, first))
 
     def columns(self) -> JsonView:
@@ -230,11 +230,11 @@ class Answers:
 
         state = self.state()
         if self._batches is None or self._batches.state != state:
-            self._batches = batch_list.read(self._store, state)
+            self._batches = run_details.read(self._store, state)
         listed = next((listed for listed in self._batches.batches if listed.batch == batch), None)
         if listed is None:
             raise NotFound(f"batch {short(batch)} has been removed")
-        return {"facts": batch_list.as_data(listed), "executing": executing(self._store, batch) if listed.missing else 0}
+        return {"facts": run_details.as_data(listed), "executing": executing(self._store, batch) if listed.missing else 0}
 
     def query(self, statement: str, batch: str | None = None) -> JsonView:
         """Return the first rows of a statement, which can only read the store."""

@@ -2,28 +2,95 @@
 
 The logs of all robots become one file each: every robot gets its share of what is kept, however much others print. The part
 of a robot whose program has failed comes last, because the end of a log is shown with the reason of a failure.
+
+Also: one record of the files that the programs of a run used on all of its robots, from the records of their workers.
+
+The name of a file begins with the robot's: `{robot tb1}/usr/bin/python3`. Files of the project keep their names, because all
+robots have the same.
 """
 
 from __future__ import annotations
 
+import contextlib
 import itertools
+import json
 import shutil
 import signal
 from collections.abc import Iterable, Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, BaseModel, Field
 
 from sierra.extensions.hosts.clock import Clock
-from sierra.extensions.robots import clock_changes, observed_files
+from sierra.extensions.robots import clock_changes
+from sierra.extensions.robots.agent_messages import Text
 from sierra.extensions.robots.trial import OVER, STOPPED, Part, Trial
+from sierra.model import IN_PROJECT
 from sierra.store.layout import RUN_OUTPUT
 from sierra.util.json_types import RecordValue
 from sierra.util.kept_log import KEPT, kept_of, shares
 from sierra.util.lazy_definitions import dataclass
+from sierra.util.regular_files import read_regular
+from sierra.worker import remote_folder
 from sierra.worker.job import Job
 from sierra.worker.journal import End, OutputFile
-from sierra.worker.layout import LOGS
+from sierra.worker.layout import LOGS, OBSERVED
 from sierra.worker.outputs import MOST_NAMED, describe, described, list_files
+
+MOST_BYTES = 64 << 20
+Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+Name = Annotated[str, AfterValidator(lambda name: remote_folder.text(remote_folder.raw(name)))]
+"""The name of a file, which may have bytes that are no text."""
+Use = Literal["executed", "read", "found", "missed", "listed", "linked", "link"]
+
+
+class _Observed(BaseModel):
+    """The parts of a worker's record that count: see `sierra.worker.observed_record.as_record`."""
+
+    method: Text
+    reason: Text | None
+    notes: list[Text]
+    distributions: list[Text]
+    files: list[tuple[Name, Use, Sha256 | None, Annotated[int, Field(ge=0, lt=1 << 63)] | None]]
+
+
+def merge(parts: Iterable[Part], folder: Path) -> bool:
+    """Write the record of a run to its folder; return whether there is one. Call it before the files of parts are moved."""
+    records = {part.name: _read(part) for part in parts if part.started}
+    known = {name: own for name, own in records.items() if own is not None}
+    if not known:
+        return False
+    missing = [f"{name} was not observed" for name in records.keys() - known.keys()]
+    reasons = [*dict.fromkeys(own.reason for own in known.values() if own.reason), *sorted(missing)]
+    record = {
+        "method": next(iter(known.values())).method,
+        "reason": "; ".join(reasons) or None,
+        "notes": [f"{name}: {note}" for name, own in known.items() for note in own.notes],
+        "distributions": list(dict.fromkeys(line for own in known.values() for line in own.distributions)),
+        "files": sorted({file for name, own in known.items() for file in _files(name, own)}, key=lambda file: file[:2]),
+        "written": [],
+    }
+    (folder / OBSERVED).write_text(json.dumps(record), encoding="ascii")
+    return True
+
+
+def _read(part: Part) -> _Observed | None:
+    """Return the record of one robot; None if there is none, or if it is not what a worker writes."""
+    if part.files is None or part.end is None or not part.end.get("observed"):
+        return None
+    path = part.files / OBSERVED
+    with contextlib.suppress(OSError, ValueError, RecursionError):
+        if not path.is_symlink() and path.stat().st_size <= MOST_BYTES:
+            return _Observed.model_validate(json.loads(read_regular(path)))  # pydantic's own JSON has no bytes that are no text
+    return None
+
+
+def _files(robot: str, one: _Observed) -> Iterator[tuple[str, str, str | None, int | None]]:
+    for path, use, sha256, size in one.files:
+        yield path if path.startswith(IN_PROJECT) else f"{{robot {robot}}}{path}", use, sha256, size
+
 
 INTERRUPTED = "interrupted"
 LATE_S = 1.0
@@ -49,7 +116,7 @@ def result(trial: Trial, job: Job, folder: Path) -> End:
     started = [part for part in trial.parts if part.started]
     ends = [part.end for part in started if part.end is not None]
     error = failure(trial)
-    observed = observed_files.merge(trial.parts, folder)
+    observed = merge(trial.parts, folder)
     outputs, left_out = _moved(trial.parts, folder)
     known = [times for part in started if (times := times_of(part))]
     at = trial.at_ns / 1e9

@@ -2,34 +2,113 @@
 
 A trial that is not valid is asked for again at the end of its block. An execution is recorded with the remark that nobody has
 judged it, and the verdict is added to the store afterwards. So nothing counts that nobody has judged, whatever happens between.
+
+Also: order in which supervised runs are executed: shuffled in blocks, because batteries, floors and operators drift.
+
+A block has the same number of runs of each experiment, so that a drift is spread over all experiments alike (a randomised
+complete block design). The order follows from the batch's id: on every machine, and if a batch is continued another day,
+it is the same.
+
+Also: facts that are recorded with a trial: hashes of declared files, and what declared commands print.
 """
 
 from __future__ import annotations
 
 import json
+import random
+import subprocess
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from datetime import UTC, datetime
 from itertools import groupby
+from pathlib import Path
 from typing import NamedTuple
 
 from sierra.errors import Missing
 from sierra.execution import commands, members
 from sierra.execution.plan import context
 from sierra.execution.session_steps import Core, Outcome
-from sierra.extensions.trials import facts, poses
-from sierra.extensions.trials.order import OrderedRun, order_seed, ordered
+from sierra.extensions.trials import poses
 from sierra.extensions.trials.supervisor import Ended, Start, Supervisor, Trial, Verdict
 from sierra.extensions.trials.table import Trials
 from sierra.extensions.trials.watched_runner import WatchedRunner
 from sierra.ingest.consistency import find_inconsistent
-from sierra.model import Run, Status
+from sierra.model import Batch, Run, Status
 from sierra.runners.base import NamesRobots, Runner
 from sierra.store.row_types import TrialRow
 from sierra.store.store import Store
+from sierra.util.hashing import sha256
 from sierra.util.json_types import JsonView
+from sierra.util.regular_files import read_regular
+
+TIMEOUT_S = 30.0
+KEPT = 1000
+"""The number of characters that are kept of what a command prints."""
+
+
+def of_files(trials: Trials, root: Path) -> dict[str, str]:
+    """Return the SHA-256 of each declared file, by path. Raises Missing."""
+    found = {}
+    for name in trials.files:
+        try:
+            found[name] = sha256(read_regular(root / name))
+        except OSError as error:
+            raise Missing(f"[trials] files: {name} cannot be read: {error.strerror}") from error
+    return found
+
+
+def of_commands(trials: Trials, root: Path) -> dict[str, str]:
+    """Return what each declared command prints to standard output, by name. Raises Missing for a command that fails."""
+    return {name: _printed(name, commands.fill(words, root), root) for name, words in trials.commands.items()}
+
+
+def _printed(name: str, argv: tuple[str, ...], root: Path) -> str:
+    command = f"[trials.commands] {name}: {argv[0]}"
+    try:
+        ended = subprocess.run(argv, cwd=root, stdin=subprocess.DEVNULL, capture_output=True, timeout=TIMEOUT_S, check=False)
+    except OSError as error:
+        raise Missing(f"{command} cannot be started: {error.strerror}") from error
+    except subprocess.TimeoutExpired as error:
+        raise Missing(f"{command} did not end within {TIMEOUT_S:g} s") from error
+    if ended.returncode:
+        said = ended.stderr.decode("utf-8", "replace").strip().splitlines()[-1:]
+        raise Missing(": ".join([f"{command} ended with status {ended.returncode}", *said]))
+    return ended.stdout.decode("utf-8", "replace").strip()[:KEPT]
+
+
+class OrderedRun(NamedTuple):
+    """A run's place in the order."""
+
+    block: int
+    """The block, from 0. Without blocks, all runs are in block 0."""
+    run: Run
+
+
+def order_seed(batch: Batch) -> int:
+    """Return the number that the order of a batch derives from."""
+    return int(batch.id[:8], 16)
+
+
+def ordered(batch: Batch, trials: Trials) -> list[OrderedRun]:
+    """Return the runs of a batch, each once, in the order in which they are executed."""
+    unique = list({run.id: run for run in reversed(batch.runs)}.values())[::-1]
+    if trials.order == "as-designed":
+        return [OrderedRun(0, run) for run in unique]
+    generator = random.Random(f"order {order_seed(batch)}")
+    if trials.order == "random":
+        return [OrderedRun(0, run) for run in _shuffled(unique, generator)]
+    blocks: dict[int, list[Run]] = {}
+    for run in unique:
+        blocks.setdefault(run.number // trials.block, []).append(run)
+    return [OrderedRun(block, run) for block in sorted(blocks) for run in _shuffled(blocks[block], generator)]
+
+
+def _shuffled(runs: Iterable[Run], generator: random.Random) -> Sequence[Run]:
+    """Return the runs sorted by random numbers: unlike `shuffle`, `random` gives the same numbers in every Python."""
+    return [run for _, run in sorted(((generator.random(), run) for run in runs), key=lambda pair: pair[0])]
+
 
 UNJUDGED = "nobody has judged it"
 """The reason why a trial without a verdict is not valid."""
@@ -113,7 +192,7 @@ class Conduct:
         run, trials, root = turn.run, self._trials, self._plan.project.root
         values = self._plan.batch.experiments[run.experiment].values
         placed = poses.of_run(self._plan, run, trials)
-        files, printed = facts.of_files(trials, root), facts.of_commands(trials, root)
+        files, printed = of_files(trials, root), of_commands(trials, root)
         trial = Trial(
             run.id,
             run.number,

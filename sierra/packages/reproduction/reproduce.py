@@ -7,6 +7,12 @@ For a limited time, runs are chosen by their recorded durations: first the short
 on, claim by claim in turn, then that of each other experiment. The rest of the time is filled with the other runs, in the order
 of their numbers. With several slots, as many runs execute at the same time; the sum of the durations of the chosen runs is at
 most the budget times the slots.
+
+Also: the project of a received package, without the keys of its `sierra.toml` that reach outside the package.
+
+A package must not choose where runs execute, what SIERRA starts on this machine besides the recorded commands, which of its
+files containers can read, or which of its variables are recorded. Such keys are removed, also those of targets, and named.
+Clusters and engines are those of the user's own configuration.
 """
 
 from __future__ import annotations
@@ -15,9 +21,12 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, zip_longest
-from pathlib import Path
+from pathlib import Path, PurePosixPath
+from typing import Any
 
 from sierra import runners
+from sierra.config import extensions, project_file, user
+from sierra.config.find_project import ProjectFolder, settings
 from sierra.config.project_file import LoadedProject
 from sierra.deliverables.claims.model import Evaluated
 from sierra.errors import Damaged, Missing, SierraError, UsageError
@@ -27,18 +36,81 @@ from sierra.packages import manifest
 from sierra.packages.layout import PACKAGE, PROGRAM, PROJECT
 from sierra.packages.parts import verifier
 from sierra.packages.reading import received
-from sierra.packages.reproduction import claims, confined_project, planned, report, workspace
+from sierra.packages.reproduction import claims, planned, report, workspace
 from sierra.packages.reproduction.outcome import ReproducedBatch, Reproduction, Statement
 from sierra.packages.reproduction.planned import PlannedBatch, RecordedRun
 from sierra.replay.options import ReplayOptions
 from sierra.replay.replay import replay
-from sierra.store.layout import STORE
+from sierra.store.layout import CONFIG, PYPROJECT, STORE
 from sierra.store.segments import disk_errors
 from sierra.store.store import Store
 from sierra.util.fs import write_whole
 from sierra.util.hashing import short
 from sierra.util.regular_files import read_regular
 from sierra.util.text import counted, one_line
+
+PLUGINS = "plugins"
+REMOVED = {
+    ("runners",): "clusters are those of your own configuration",
+    ("engines",): "engines are used with their own defaults",
+    (PLUGINS,): "Python code of a package is never imported",
+    ("programs",): "programs of this machine are asked for their versions as usual",
+    ("store", "work_folder"): "runs execute below the given folder",
+    ("environment", "record"): "your variables are not recorded",
+}
+"""Keys that are removed, with the reason."""
+
+
+def load(root: Path) -> tuple[LoadedProject, tuple[str, ...]]:
+    """Return the project in `root` without these keys, and a line for each removed key. Raises ConfigError."""
+    file = next((root / name for name in (CONFIG, PYPROJECT) if (root / name).is_file()), root / CONFIG)
+    whole = settings(file) or {}
+    table, absent = extensions.without_absent(whole)
+    notes = [*absent, *_confine(table, "")]
+    targets = table.get("targets")
+    for name, target in targets.items() if isinstance(targets, dict) else ():
+        if isinstance(target, dict):
+            notes += _confine(target, f"targets.{name}.")
+    if clusters := user.load().runners:
+        table["runners"] = dict(clusters)
+    project = project_file.of_table(ProjectFolder(root, file), table)
+    return replace(project, received=True, lacking=extensions.lacking(whole)), tuple(notes)
+
+
+def _confine(table: dict[str, Any], where: str) -> Iterator[str]:
+    """Remove the keys from a table; yield a line for each."""
+    for (*folders, key), reason in REMOVED.items():
+        inner = _table(table, folders)
+        if key in inner:
+            if key != PLUGINS:  # their names are valid, but whatever uses one is refused
+                del inner[key]
+            yield f"sierra.toml: {where}{'.'.join((*folders, key))} of the package is ignored: {reason}"
+    mounts = _table(table, ["container", "mounts"])
+    for target, source in list(mounts.items()):
+        if not isinstance(source, str) or _leads_out(source):
+            del mounts[target]
+            yield f"sierra.toml: {where}container.mounts {target} of the package is ignored: {source} is outside the package"
+    yield from _without_templates(table, where)
+
+
+def _without_templates(table: dict[str, Any], where: str) -> Iterator[str]:
+    """Remove templates outside the package; recorded inputs are used anyway. Yield a line for each."""
+    if isinstance(path := table.get("template"), str) and _leads_out(path):
+        del table["template"]
+        yield f"sierra.toml: {where}template of the package is ignored: {path} is outside the package"
+
+
+def _table(table: dict[str, Any], names: list[str]) -> dict[str, Any]:
+    """Return an inner table; an empty one if there is none."""
+    for name in names:
+        found = table.get(name)
+        table = found if isinstance(found, dict) else {}
+    return table
+
+
+def _leads_out(path: str) -> bool:
+    """Check whether a path leads out of the project. A package has no links."""
+    return PurePosixPath(path).is_absolute() or path.startswith("~") or ".." in PurePosixPath(path).parts
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +147,7 @@ def reproduce(
         workspace.copy_verified(archive, folder)
         observer.notice(f"verified: package {short(archive.id)}, copied to {folder / workspace.COPY}")
         described = manifest.read(read_regular(folder / workspace.COPY / PACKAGE))
-        project, notes = confined_project.load(folder / workspace.COPY / PROJECT)
+        project, notes = load(folder / workspace.COPY / PROJECT)
         if not verifier.is_ours(archive.hashes.get(PROGRAM)):
             notes = (*notes, received.OTHER)
         for note in notes:

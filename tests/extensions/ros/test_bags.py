@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from sierra.config.output_tables import Output
-from sierra.extensions.ros.bags import message_rates
+from sierra.extensions.ros.bags import bag_topics
 from sierra.extensions.ros.bags.containers import Channel
 from sierra.extensions.ros.recovery import recover
 from sierra.ingest.base import UnreadableError
@@ -502,7 +502,7 @@ def test_topic_that_is_too_slow_at_any_time_is_noticed(
         f"the topic '/scan' falls to {rate[0]:g} messages a second, {rate[1] - 5:.1f} s after the bag begins" if rate else ""
     )
     with pytest.raises(UnreadableError, match=words) if rate else contextlib.nullcontext():
-        assert len(list(message_rates.checked(iter(messages), [scan], 8.0))) == len(periods) + 1
+        assert len(list(bag_topics.checked(iter(messages), [scan], 8.0))) == len(periods) + 1
 
 
 @pytest.mark.parametrize(
@@ -513,7 +513,7 @@ def test_a_slow_topic_is_noticed_in_a_bag_that_is_too_short_for_ten_messages(sta
     scan, clock = (Channel(number, name, "", None, "msg", "", ros1=True) for number, name in enumerate(("/scan", "/clock")))
     messages = [(clock, 0, b""), *((scan, round(time * NS), b"") for time in stamps), (clock, 5 * NS, b"")]
     with pytest.raises(UnreadableError, match="falls to") if slow else contextlib.nullcontext():
-        list(message_rates.checked(iter(messages), [scan], 1.0))
+        list(bag_topics.checked(iter(messages), [scan], 1.0))
 
 
 @pytest.mark.parametrize("kind", KINDS)

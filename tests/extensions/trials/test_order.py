@@ -6,7 +6,7 @@ from collections import Counter
 
 import pytest
 
-from sierra.extensions.trials.order import OrderedRun, ordered
+from sierra.extensions.trials.conduct import OrderedRun, ordered
 from sierra.extensions.trials.table import Trials
 from sierra.model import Batch, Experiment, Run, RunSpec
 

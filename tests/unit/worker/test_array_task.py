@@ -34,7 +34,7 @@ from sierra.runners.schedulers.base import NodeVariables
 from sierra.runners.schedulers.pbs import Pbs
 from sierra.store.layout import SessionPaths
 from sierra.util import worker_zip
-from sierra.worker import element_jobs, machine, required_files, result_log
+from sierra.worker import allocation, element_jobs, machine, result_log
 from sierra.worker.processes import cpu_of
 from sierra.worker.result_log import Attempt, Finished, Requeued, Started, Trouble
 from tests.pythons import python_of
@@ -563,7 +563,7 @@ def test_a_python_with_other_distributions_is_reported(folder: Folder, tmp_path:
     for name in ("numpy-1.26.4.dist-info", "old.egg-info", "numpy", "~umpy"):
         (tmp_path / "site-packages" / name).mkdir(parents=True)
     where = f"{tmp_path}/site-packages:{tmp_path}/none"
-    held = required_files.installed(where)
+    held = allocation.installed(where)
     assert [Path(path).name for path in held] == ["numpy-1.26.4.dist-info", "old.egg-info"]
     folder.set(needs=[{"name": "python3: installed distributions", "path": where, "sha256": "", "search": "", "holds": held}])
     folder.deal(many(2, "true"))

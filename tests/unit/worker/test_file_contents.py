@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from sierra.testing.observers import wait_for_tick
-from sierra.worker.file_contents import Contents, contents
 from sierra.worker.file_names import Names
 from sierra.worker.file_trace import Trace
+from sierra.worker.observed_record import Contents, contents
 
 
 def observed(tmp_path: Path, change: Callable[[Path], object]) -> tuple[Path, Contents]:

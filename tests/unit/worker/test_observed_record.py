@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from sierra.worker import file_contents, observed_record
-from sierra.worker.file_contents import Contents, contents
+from sierra.worker import observed_record
 from sierra.worker.file_names import Names
 from sierra.worker.file_trace import Trace
+from sierra.worker.observed_record import Contents, contents
 
 
 @pytest.mark.parametrize("seen", [True, False])
@@ -20,7 +20,7 @@ def test_a_path_that_came_into_existence_is_missed_unless_the_run_found_it(tmp_p
     trace = Trace("strace", missed=(str(absent), str(come)), found=(str(come),) if seen else ())
     record = observed_record.as_record(trace, contents(trace, 0), Names({}))
     kinds = (
-        [(str(come), "found", file_contents.sha256_of_kind(str(come)), None)] if seen else [(str(come), "missed", None, None)]
+        [(str(come), "found", observed_record.sha256_of_kind(str(come)), None)] if seen else [(str(come), "missed", None, None)]
     )
     assert record["files"] == [(str(absent), "missed", None, None), *kinds]
     assert record["reason"] == f"{come}: it was made after the run had looked for it"

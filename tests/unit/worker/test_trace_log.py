@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sierra.worker import file_trace, trace_log
-from sierra.worker.file_contents import contents
 from sierra.worker.file_names import Names
 from sierra.worker.file_trace import Trace
+from sierra.worker.observed_record import contents
 from tests.strace_logs import ENDED, LOG, calls, read
 
 

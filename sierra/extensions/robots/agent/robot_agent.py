@@ -43,6 +43,13 @@ worker is their subreaper, and the agent is that of the worker.
 
 A run's folder is FOLDER/runs/ATTEMPT. It has `process.json` from the time when the run is armed, and `ended.json` at its end.
 An attempt whose folder exists is never started again. A worker executes one run after the other, until it has to end one.
+
+Also: the environment of runs on a robot: the variables that its setup line sets, its address, and its time zone.
+
+Also: the lock of a robot: an abstract socket.
+
+Only one process of a host can have it, of whatever user, and the kernel frees it when that process ends. Whoever finds it taken
+connects to it, and reads who has it.
 """
 
 from __future__ import annotations
@@ -54,16 +61,16 @@ import json
 import os
 import select
 import signal
+import socket
+import subprocess
 import sys
 import time
-from typing import Any, Callable, Sequence
+from typing import Any, Callable, Mapping, Sequence
 
 from sierra.extensions.robots.agent.clock_watch import ClockWatch
 from sierra.extensions.robots.agent.condition import Condition
-from sierra.extensions.robots.agent.environment import own_address, utc_offset, with_setup
 from sierra.extensions.robots.agent.leftovers import ENDED, Guard, end_leftovers
-from sierra.extensions.robots.agent.lock import Lock
-from sierra.extensions.robots.agent.processes import LOOK_S, Forked, boot_id, keep_open
+from sierra.extensions.robots.agent.processes import LOOK_S, TAIL_BYTES, Forked, boot_id, ending, keep_open
 from sierra.extensions.robots.agent.records import Record, Refused, write_whole
 from sierra.extensions.robots.agent.run import WORKER, Run, WorkerProcess, become_worker
 from sierra.extensions.robots.agent.software import Looker
@@ -74,6 +81,115 @@ from sierra.worker.errors import explain
 from sierra.worker.files import remove, size_of
 from sierra.worker.journal import BEGUN, READY
 from sierra.worker.processes import adopt_orphans
+
+SILENT_S = 1.0  # for a holder of the lock that says nothing, because it is ending
+
+
+class Lock:
+    """The lock of this robot."""
+
+    def __init__(self, name: str) -> None:
+        self.address = "\0" + name
+        self.socket: socket.socket | None = None
+        """The lock, if this process has it."""
+
+    def acquire(self, who: Record, give_up: float) -> None:
+        """Lock the robot. An agent that is ending, or that of the same driver, is waited for. Raises Refused."""
+        began = time.monotonic()
+        while self.socket is None:
+            lock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+            try:
+                lock.bind(self.address)
+                lock.listen(8)
+                lock.setblocking(False)
+                self.socket = lock
+            except OSError:
+                lock.close()
+                holder = self.holder()
+                now = time.monotonic()
+                own = holder.get("session") == who.get("session")
+                if own and holder.get("robot") != who.get("robot"):
+                    same = "is the same host as %s; each robot needs a host of its own" % holder.get("robot")
+                    raise Refused(same, "lock") from None
+                waits = now < give_up if holder.get("leaving") or own else not holder and now < began + SILENT_S
+                if not waits:
+                    text = holder.get("text") or "another process that holds its lock"
+                    raise Refused("in use by %s" % text, "lock") from None
+                time.sleep(LOOK_S)
+
+    def holder(self) -> Record:
+        """Return who holds the lock; empty if nobody says so."""
+        with contextlib.suppress(OSError, ValueError), socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as lock:
+            lock.settimeout(2.0)
+            lock.connect(self.address)
+            with lock.makefile("rb") as file:
+                who = json.loads(file.readline(1 << 16))
+                return who if isinstance(who, dict) else {}
+        return {}
+
+    def tell(self, who: Record) -> None:
+        """Tell another process who holds the lock."""
+        with contextlib.suppress(OSError):
+            if self.socket is not None:
+                other, _ = self.socket.accept()
+                with other:
+                    other.setblocking(False)
+                    other.send(json.dumps(who).encode() + b"\n")
+
+
+SETUP_S = 60.0
+LEFT_OUT = ("_", "SHLVL", "PWD", "OLDPWD")  # variables that a shell sets
+
+
+def with_setup(line: str | None, environment: Mapping[str, str]) -> dict[str, str]:
+    """Return the variables that are set after bash has executed a line. Raises Refused if it fails."""
+    own = {name: value for name, value in environment.items() if not name.startswith("SSH_")}
+    if not line:
+        return own
+    script = "exec 3>&1 >&2\n%s\nstatus=$?; [ $status = 0 ] || exit $status\nexec env -0 >&3" % line
+    try:
+        ended = subprocess.run(
+            ["bash", "-c", script],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            env=own,
+            timeout=SETUP_S,
+            start_new_session=True,
+        )
+    except subprocess.TimeoutExpired:
+        raise Refused("its setup line did not end within %g s" % SETUP_S, "setup") from None
+    if ended.returncode:
+        words = " ".join(ended.stderr.decode("utf-8", "replace").split())[-TAIL_BYTES:]
+        raise Refused("its setup line ended with %s: %s" % (ending(ended.returncode), words), "setup")
+    if not ended.stdout:
+        unknown = "its setup line ended the shell (by exit or exec), so that the variables that it sets are unknown"
+        raise Refused(unknown, "setup")
+    pairs = (pair.partition("=") for pair in ended.stdout.decode("utf-8", "surrogateescape").split("\0") if "=" in pair)
+    return {name: value for name, _, value in pairs if name not in LEFT_OUT and not name.startswith("BASH_FUNC_")}
+
+
+def own_address() -> str | None:
+    """Return the address of this robot at which its driver has reached it, in the robot's own network; None without SSH."""
+    words = os.environ.get("SSH_CONNECTION", "").split()  # address and port of the client, then of the server
+    return words[2] if len(words) == 4 else None
+
+
+def utc_offset(zone: str | None) -> int:
+    """Return the seconds by which local time is ahead of UTC now, with this value of TZ; None: in the system's time zone."""
+    before = os.environ.get("TZ")
+    try:
+        set_zone(zone)
+        return time.localtime().tm_gmtoff
+    finally:
+        set_zone(before)
+
+
+def set_zone(zone: str | None) -> None:
+    os.environ.pop("TZ", None)
+    if zone is not None:
+        os.environ["TZ"] = zone
+    time.tzset()
+
 
 RUNS = "runs"
 PROBE = "probe"  # the name of a run that only shows that runs can be executed

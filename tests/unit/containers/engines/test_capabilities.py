@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from sierra.containers.engines import sandboxes
+from sierra.containers.engines import apptainer
 from sierra.containers.engines.base import Capabilities, ContainerSpec, Process, find
 from sierra.containers.images.image import Image, Kind
 from sierra.model import Result
@@ -270,16 +270,16 @@ def squashfs(tmp_path: Path, require: Callable[..., str]) -> Path:
 
 
 def test_image_files_are_unpacked_once(squashfs: Path, tmp_path: Path) -> None:
-    folder = sandboxes.prepare(squashfs, "sha256:1", tmp_path / "made" / "rootfs")
+    folder = apptainer.prepare(squashfs, "sha256:1", tmp_path / "made" / "rootfs")
     before = (folder / "bin").stat()
     assert (folder / "bin" / "tool").read_text() == "right"
-    assert sandboxes.prepare(squashfs, "sha256:1", folder) == folder
+    assert apptainer.prepare(squashfs, "sha256:1", folder) == folder
     assert (folder / "bin").stat().st_ino == before.st_ino
 
 
 @pytest.mark.parametrize("change", ["content", "added", "removed", "rights"])
 def test_changed_image_files_are_unpacked_again(change: str, squashfs: Path, tmp_path: Path) -> None:
-    folder = sandboxes.prepare(squashfs, "sha256:1", tmp_path / "made" / "rootfs")
+    folder = apptainer.prepare(squashfs, "sha256:1", tmp_path / "made" / "rootfs")
     tool = folder / "bin" / "tool"
     match change:
         case "content":
@@ -292,7 +292,7 @@ def test_changed_image_files_are_unpacked_again(change: str, squashfs: Path, tmp
             tool.unlink()
         case _:
             tool.chmod(0o4777)
-    sandboxes.prepare(squashfs, "sha256:1", folder)
+    apptainer.prepare(squashfs, "sha256:1", folder)
     assert tool.read_text() == "right"
     assert tool.stat().st_mode & 0o7777 == 0o644
     assert [path.name for path in (folder / "bin").iterdir()] == ["tool"]
@@ -300,9 +300,9 @@ def test_changed_image_files_are_unpacked_again(change: str, squashfs: Path, tmp
 
 
 def test_image_with_another_id_replaces_the_unpacked_files(squashfs: Path, tmp_path: Path) -> None:
-    folder = sandboxes.prepare(squashfs, "sha256:1", tmp_path / "made" / "rootfs")
+    folder = apptainer.prepare(squashfs, "sha256:1", tmp_path / "made" / "rootfs")
     inode = folder.stat().st_ino
-    assert sandboxes.prepare(squashfs, "sha256:2", folder).stat().st_ino != inode
+    assert apptainer.prepare(squashfs, "sha256:2", folder).stat().st_ino != inode
 
 
 def test_engine_none_has_no_capabilities() -> None:

@@ -13,7 +13,7 @@ import sierra
 from sierra.config import project_file
 from sierra.deliverables.claims import registration
 from sierra.deliverables.claims.model import Registered
-from sierra.deliverables.claims.normal_form import normal_form
+from sierra.deliverables.claims.registration import normal_form
 from sierra.store.lamport_clock import stamp
 from sierra.store.store import Store
 from tests import projects

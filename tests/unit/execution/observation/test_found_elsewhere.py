@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from sierra.execution.observation import found_elsewhere
-from sierra.execution.observation.found_elsewhere import LoaderCache
+from sierra.execution.observation import unchanged_files
+from sierra.execution.observation.unchanged_files import LoaderCache
 
 ENTRY = "printf '\\tlibx.so (libc6,x86-64) => /lib/libx.so\\n'\n"
 
@@ -28,7 +28,7 @@ def test_a_cache_that_cannot_be_read_could_find_any_library_elsewhere(
     program.write_text(script)
     program.chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
-    monkeypatch.setattr(found_elsewhere, "CACHE", str(cache))
+    monkeypatch.setattr(unchanged_files, "CACHE", str(cache))
     assert LoaderCache().found_elsewhere(["/usr/lib/liby.so"]) is None  # there is no cache
     cache.touch()
     assert LoaderCache().found_elsewhere(["/usr/lib/liby.so"]) == (None if known else str(cache))

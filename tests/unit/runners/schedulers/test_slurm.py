@@ -17,8 +17,7 @@ import pytest
 from sierra.config.cluster_table import ClusterTable
 from sierra.errors import ConfigError, Full, Missing, SierraError
 from sierra.runners.schedulers.base import Request, State, Task
-from sierra.runners.schedulers.slurm import PATH, Slurm, refusal, tasks
-from sierra.runners.schedulers.slurm_accounting_limits import seconds
+from sierra.runners.schedulers.slurm import PATH, Slurm, refusal, seconds, tasks
 from sierra.util.text import ranges
 from tests import clusters
 from tests.waiting import PATIENCE_S

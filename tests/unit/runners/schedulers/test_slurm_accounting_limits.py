@@ -17,7 +17,7 @@ from sierra.errors import ConfigError, Full, Missing
 from sierra.runners.cluster import runner
 from sierra.runners.schedulers import slurm as scheduler
 from sierra.runners.schedulers.base import Limit, Request
-from sierra.runners.schedulers.slurm_accounting_limits import Allowed, Partitions, allowed
+from sierra.runners.schedulers.slurm import Allowed, Partitions, allowed
 from tests.clusters import Slurm
 from tests.conftest import Simulated
 
