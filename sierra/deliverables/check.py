@@ -140,8 +140,8 @@ def _numbers(project: LoadedProject, store: Store, row: DeliverableRow) -> Deliv
 
 
 def _comparison(declared: Comparison) -> dict[str, JsonView]:
-    found = declared.model_dump(mode="json")
-    return {**found, "groups": found["groups"] if found["by"] else []}
+    declaration = declared.model_dump(mode="json")
+    return {**declaration, "groups": declaration["groups"] if declaration["by"] else []}
 
 
 def _as_declared(project: LoadedProject, kind: DeliverableKind, row: DeliverableRow) -> DeliverableRow:
@@ -207,7 +207,7 @@ def _parts(
     """
     rest = {name: value for name, value in definition.items() if name != kind}
     if isinstance(models := rest.get("models"), Mapping):
-        rest["models"] = {name: one.get("label") for name, one in models.items() if isinstance(one, Mapping)}
+        rest["models"] = {name: predicted.get("label") for name, predicted in models.items() if isinstance(predicted, Mapping)}
     declared = definition.get(kind)
     if model is None or not isinstance(declared, Mapping):
         return rest, {}
@@ -218,14 +218,14 @@ def _parts(
 
 def _changed_model(before: Mapping[str, JsonView], now: Mapping[str, JsonView]) -> str:
     """Return which model of a figure predicts other values now, or is not drawn as before; "" if all are as they were."""
-    old, new = (found if isinstance(found := one.get("models"), Mapping) else {} for one in (before, now))
+    old, new = (models if isinstance(models := definition.get("models"), Mapping) else {} for definition in (before, now))
     for name in {**old, **new}:
-        was, found = (one.get(name) for one in (old, new))
+        was, present = (models.get(name) for models in (old, new))
         if not isinstance(was, Mapping):
             return f"model {name!r} belongs to it now"
-        if not isinstance(found, Mapping):
+        if not isinstance(present, Mapping):
             return f"model {name!r} does not belong to it any more"
-        if was.get("data") != found.get("data"):
-            problem = found.get("problem")
+        if was.get("data") != present.get("data"):
+            problem = present.get("problem")
             return f"model {name!r} fails now: {problem}" if problem else f"model {name!r} predicts other values now"
     return ""

@@ -213,10 +213,10 @@ def cells_of(
     return tables, _with_rates(cells, tables), factors, ()
 
 
-def _with_rates(cells: Sequence[Cell], found: Mapping[str, RunTable]) -> list[Cell]:
+def _with_rates(cells: Sequence[Cell], tables: Mapping[str, RunTable]) -> list[Cell]:
     """Return the cells, marked if all their values are those of a rate."""
     values = (run.value for cell in cells for sample in cell.samples for run in sample.values)
-    rate = all(one.rate for one in found.values()) and all(value in (0, 1) for value in values)
+    rate = all(table.rate for table in tables.values()) and all(value in (0, 1) for value in values)
     return [replace(cell, rate=rate) for cell in cells]
 
 
@@ -396,10 +396,10 @@ def _group(word: str | None, groups: Sequence[str], names: Mapping[str, str]) ->
     """Return the group that a word names: the whole label, the name or, of a number, the value. Raises NotFound."""
     if word is None:
         return None
-    found = next((group for group in groups if word in (group, group.partition("=")[2])), names.get(word))
-    if found is None:
+    matching = next((group for group in groups if word in (group, group.partition("=")[2])), names.get(word))
+    if matching is None:
         raise NotFound(f"there is no group {word!r}; {like(word, groups)}")
-    return found
+    return matching
 
 
 def _sample(group: str, runs: RunTable, ordinals: Iterable[int]) -> Sample:
@@ -427,10 +427,10 @@ def _differences(stores: Mapping[str, Store], batches: Mapping[str, str], *, det
         for row in rows
     ]
     names = {"overrides": "--set", "base_seed": "base seed", "shared_files": "shared files", "around": "services"}
-    differing = [names.get(name, name) for name in facts[0] if any(one.get(name) != facts[0][name] for one in facts)]
+    differing = [names.get(name, name) for name in facts[0] if any(known.get(name) != facts[0][name] for known in facts)]
     if differing:
-        one, other = next(combinations(map(short, batches.values()), 2))
-        yield f"the batches differ in {', '.join(differing)}{f'; for details: sierra diff {one} {other}' if details else ''}"
+        first, second = next(combinations(map(short, batches.values()), 2))
+        yield f"the batches differ in {', '.join(differing)}{f'; for details: sierra diff {first} {second}' if details else ''}"
 
 
 FACTS = ("controller", "scenario", "overrides", "platform", "base_seed", "template")

@@ -117,21 +117,21 @@ def drawing_of(compared: Compared) -> Drawing:
 
 def caption_of(compared: Compared) -> str:
     """Return the small print of the figure."""
-    found = compared.analysis
+    analysis = compared.analysis
     if compared.bands:
-        return f"mean difference, {100 * (1 - found.question.alpha):.4g} % CI at each time (no test), {_runs(compared)}"
-    margin = "; shaded: the margin" if found.question.margin is not None else ""
+        return f"mean difference, {100 * (1 - analysis.question.alpha):.4g} % CI at each time (no test), {_runs(compared)}"
+    margin = "; shaded: the margin" if analysis.question.margin is not None else ""
     return estimates_of(compared) + (f"; filled: different (Holm){margin}" if compared.pairs else "")
 
 
 def estimates_of(compared: Compared) -> str:
     """Return what the differences and their intervals are, and the numbers of runs."""
-    found = compared.analysis
+    analysis = compared.analysis
     if compared.effects:
-        return f"{found.title}; {found.pairing.reason}"
+        return f"{analysis.title}; {analysis.pairing.reason}"
     known = any(pair.low is not None for pair in compared.pairs)
     each = "each" if len(compared.pairs) == 1 else f"each alone (not corrected for {len(compared.pairs)} pairs)"
-    interval = found.estimates + (f", {100 * (1 - found.question.alpha):.4g} % CI of {each}" if known else "")
+    interval = analysis.estimates + (f", {100 * (1 - analysis.question.alpha):.4g} % CI of {each}" if known else "")
     return f"{interval}, {_runs(compared)}"
 
 

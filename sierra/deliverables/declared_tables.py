@@ -43,21 +43,21 @@ if TYPE_CHECKING:
 
 def columns(store: Store, declared: TableForPaper, batches: Mapping[str, str]) -> tuple[Columns, pa.Table, str]:
     """Return the columns of the rows of a statement, these rows, and the statement."""
-    found = joined(store, batches, declared.sql, "sql")
-    every = {column: values_of(found.table.column(column)) for column in found.table.column_names}
-    numeric = _numeric(found.table)
+    answer = joined(store, batches, declared.sql, "sql")
+    every = {column: values_of(answer.table.column(column)) for column in answer.table.column_names}
+    numeric = _numeric(answer.table)
     intervals = {column: ends for column in every if (ends := _interval(column, numeric))}
     shown = [column for column in every if not any(column in ends for ends in intervals.values())]
-    if isinstance(declared.digits, Mapping) and (unknown := [one for one in declared.digits if one not in shown]):
+    if isinstance(declared.digits, Mapping) and (unknown := [column for column in declared.digits if column not in shown]):
         raise NotFound(f"digits: the statement has no column {unknown[0]!r}; {like(unknown[0], shown)}")
     split = shown.index(declared.across) + 1 if declared.across in shown else 0
     cells: dict[str, list[Cell]] = {}
     for column in shown[split:]:
         digits = declared.digits if isinstance(declared.digits, int) else declared.digits.get(column)
-        low, high = (every[end] for end in intervals[column]) if column in intervals else ([None] * found.table.num_rows,) * 2
+        low, high = (every[end] for end in intervals[column]) if column in intervals else ([None] * answer.table.num_rows,) * 2
         cells[column] = [_cell(*values, digits) for values in zip(every[column], low, high, strict=True)]
     headers = {column: (column.replace("_", " "),) for column in shown}
-    return Columns(headers, {column: every[column] for column in shown[:split]}, cells), found.table, found.sql
+    return Columns(headers, {column: every[column] for column in shown[:split]}, cells), answer.table, answer.sql
 
 
 def _interval(column: str, numeric: Container[str]) -> tuple[str, str] | None:
@@ -153,7 +153,7 @@ def make(project: LoadedProject, store: Store, name: str, declared: TableForPape
         columns, data, sql = table_of_statistics.columns(project, store, declared, batches)
     if not data.num_rows:
         raise SierraError("the table has no row")
-    if unknown := [one for one in declared.headers if one not in columns.headers]:
+    if unknown := [column for column in declared.headers if column not in columns.headers]:
         raise NotFound(f"headers: the table has no column {unknown[0]!r}; {like(unknown[0], list(columns.headers))}")
     headers = {name: (_given(header, declared),) for name, header in declared.headers.items()}
     columns = replace(columns, headers={**columns.headers, **headers})

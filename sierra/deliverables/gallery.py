@@ -207,13 +207,13 @@ class Gallery:
             if self.frame.offset(output, column)
         ]
 
-    def _rates_in(self, made: Drawing, source: OutputRows, seen: stats.Coverage, rates: Container[str]) -> Iterator[str]:
+    def _rates_in(self, drawing: Drawing, source: OutputRows, seen: stats.Coverage, rates: Container[str]) -> Iterator[str]:
         """Yield notes on the intervals of means in a figure whose values are 0 and 1, but no declared rate."""
-        for column, table in made.tables.items():
+        for column, table in drawing.tables.items():
             timed = "t" in table.column_names
             if column not in rates:
                 samples = stats.ColumnStatistics(source.samples(column), seen)
-                yield from self.about_rates(samples, table, None if timed else made.figure.measure)
+                yield from self.about_rates(samples, table, None if timed else drawing.figure.measure)
 
     def drawing(self, name: str, figure: Figure, *, model: str = "") -> Drawing:
         """Return the computed content of a figure, with the models that join it, or with one model."""
@@ -238,7 +238,7 @@ class Gallery:
             seen = replace(chosen, selected=seen.selected or bool(figure.where))
             planned = {ordinal: runs for ordinal, runs in self.planned.items() if ordinal in asked.union(seen.runs)}
             batch = replace(batch.of_experiments(failed.union(seen.runs)), planned=planned)
-            batch = batch.in_order({name: [self._label(name, one) for one in order[name]] for name in order})
+            batch = batch.in_order({name: [self._label(name, value) for value in order[name]] for name in order})
         self.note_rows(output, seen, figure.measure)
         rates = self.rates(output)
         drawing = gather(name, figure, columns, batch, source, seen, rates, self.config.statistics)
@@ -247,11 +247,13 @@ class Gallery:
         units = self.units(output)
         tables, models, note = drawing.tables, drawing.models, drawing.note
         per_second = (
-            self.ticks_per_second(output.name) if tables and all("t" in one.column_names for one in tables.values()) else {}
+            self.ticks_per_second(output.name) if tables and all("t" in table.column_names for table in tables.values()) else {}
         )
         if per_second:
             tables = {column: seconds.in_seconds(table, per_second) for column, table in tables.items()}
-            models = tuple(replace(one, table=seconds.in_seconds(one.table, per_second)) for one in drawing.models)
+            models = tuple(
+                replace(predicted, table=seconds.in_seconds(predicted.table, per_second)) for predicted in drawing.models
+            )
             note = "; ".join(text for text in (note, seconds.note(time, per_second)) if text)
             units[time] = "s"
         note = "; ".join(filter(None, (*self.target_notes, *self.row_notes.get(output.name, ()), note, *of_values)))

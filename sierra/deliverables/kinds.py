@@ -57,8 +57,8 @@ class DeliverableKind:
 
 def find(kind: str) -> DeliverableKind | None:
     """Return a kind that an extension adds; None for another."""
-    found: DeliverableKind | None = extensions.load("deliverables", kind) if kind in extensions.added("deliverables") else None
-    return found
+    loaded: DeliverableKind | None = extensions.load("deliverables", kind) if kind in extensions.added("deliverables") else None
+    return loaded
 
 
 class InPaper(NamedTuple):

@@ -118,8 +118,8 @@ def fitting(figure: Figure, *, declared: bool) -> Figure:
 def together_in(definition: Mapping[str, object]) -> tuple[Word, list[str]] | None:
     """Return the targets or labels of a recorded figure that shows several batches; None for another one."""
     for word, plural in PLURALS.items():
-        if isinstance(found := definition.get(plural), list):
-            return word, list(map(str, found))
+        if isinstance(names := definition.get(plural), list):
+            return word, list(map(str, names))
     return None
 
 
@@ -169,14 +169,14 @@ def merged(drawings: Mapping[str, Drawing], word: Word = TARGET) -> Drawing:
 
 def _models(drawings: Mapping[str, Drawing], places: Mapping[str, int]) -> tuple[Predicted, ...]:
     """Return the models of all targets, each with its values for those that have it."""
-    names = dict.fromkeys(model.name for one in drawings.values() for model in one.models)
-    found = []
+    names = dict.fromkeys(model.name for drawing in drawings.values() for model in drawing.models)
+    models = []
     for name in names:
-        own = {target: model for target, one in drawings.items() for model in one.models if model.name == name}
+        own = {target: model for target, drawing in drawings.items() for model in drawing.models if model.name == name}
         tables = {target: model.table for target, model in own.items()}
         facts = {target: model.definition for target, model in own.items()}
-        found.append(replace(next(iter(own.values())), table=_stacked(tables, places), facts=facts))
-    return tuple(found)
+        models.append(replace(next(iter(own.values())), table=_stacked(tables, places), facts=facts))
+    return tuple(models)
 
 
 def together(notes: Mapping[str, str]) -> list[str]:
@@ -207,7 +207,7 @@ def _values(drawing: Drawing) -> str:
     for cell in drawing.cells.values():
         for name, value in cell.items():
             values.setdefault(name, {})[str(value)] = None
-    return "; ".join(f"{name} = {', '.join(found)}" for name, found in values.items())
+    return "; ".join(f"{name} = {', '.join(texts)}" for name, texts in values.items())
 
 
 def _units(drawing: Drawing) -> str:

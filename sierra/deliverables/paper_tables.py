@@ -98,21 +98,25 @@ class PaperTable:
 
 
 def text(
-    project: LoadedProject, store: Store, found: Statistics | None, format: str, caption: str = "", label: str = ""
+    project: LoadedProject, store: Store, statistics: Statistics | None, format: str, caption: str = "", label: str = ""
 ) -> str:
     """Return the text of a table of statistics in one of `FORMATS`. Raises UsageError."""
     check_format(format, label)
-    if found is None or not found.chosen or "remaining" in found.table.column_names:
+    if statistics is None or not statistics.chosen or "remaining" in statistics.table.column_names:
         raise UsageError(
             "a table for papers needs chosen statistics, one row for each experiment or time; name them, as in mean"
         )
-    config = targets.of_batch(project, store, found.batch).config
-    axes = [f"axis {place}" for place in range(len(found.axes))]
-    headers: dict[str, Heads] = {axis: (header,) for axis, header in zip(axes, axis_headers(config, found), strict=True)}
-    headers |= {"t": (_header(found.time, _unit(config, found, found.time)),)} | statistic_headers(config, found)
-    table = found.with_axes(axes, labels=True)
+    config = targets.of_batch(project, store, statistics.batch).config
+    axes = [f"axis {index}" for index in range(len(statistics.axes))]
+    headers: dict[str, Heads] = {axis: (header,) for axis, header in zip(axes, axis_headers(config, statistics), strict=True)}
+    headers |= {"t": (_header(statistics.time, _unit(config, statistics, statistics.time)),)} | statistic_headers(
+        config, statistics
+    )
+    table = statistics.with_axes(axes, labels=True)
     shown = {name: header for name, header in headers.items() if name in table.column_names}
-    return FORMATS[format](paper_table(table, found.chosen, shown, "; ".join(found.notes), caption=caption, label=label))
+    return FORMATS[format](
+        paper_table(table, statistics.chosen, shown, "; ".join(statistics.notes), caption=caption, label=label)
+    )
 
 
 def flat(heads: Heads) -> str:
@@ -128,41 +132,43 @@ def check_format(format: str, label: str) -> None:
         raise UsageError(f"unknown format of a table {format!r}; known are {', '.join(FORMATS)}")
 
 
-def axis_headers(config: Project, found: Statistics) -> list[str]:
+def axis_headers(config: Project, statistics: Statistics) -> list[str]:
     """Return the headers of the variables."""
     headers = []
-    for name in found.axes:
+    for name in statistics.axes:
         variable = config.variables.get(name)
         headers.append(_header((variable and variable.label) or name, variable.unit if variable else ""))
     return headers
 
 
-def statistic_headers(config: Project, found: Statistics) -> dict[str, Heads]:
+def statistic_headers(config: Project, statistics: Statistics) -> dict[str, Heads]:
     """Return the heads of the chosen statistics, by name; one alone is named by its column only."""
-    what, unit = found.column, _unit(config, found, found.column)
-    if found.threshold is not None:
-        reached = f"{found.column} ≥ {found.threshold:.12g}"
-        what, unit = f"time until {reached}{f' {unit}' if unit else ''}", _unit(config, found, found.time)
-    alone, head = len(found.chosen) == 1, _header(what, unit)
-    return {name: (head,) if alone and name in PLAIN else (head, name.replace("_", " ")) for name in found.chosen}
+    what, unit = statistics.column, _unit(config, statistics, statistics.column)
+    if statistics.threshold is not None:
+        reached = f"{statistics.column} ≥ {statistics.threshold:.12g}"
+        what, unit = f"time until {reached}{f' {unit}' if unit else ''}", _unit(config, statistics, statistics.time)
+    alone, head = len(statistics.chosen) == 1, _header(what, unit)
+    return {name: (head,) if alone and name in PLAIN else (head, name.replace("_", " ")) for name in statistics.chosen}
 
 
 Estimates: TypeAlias = dict[int, tuple[float | None, float | None, float | None, int]]
 
 
-def estimates_of(found: Statistics, name: str, ordinals: Container[int]) -> tuple[Estimates, list[str]]:
+def estimates_of(statistics: Statistics, name: str, ordinals: Container[int]) -> tuple[Estimates, list[str]]:
     """Return value, low, high and n of a statistic by the position of the experiment, and the methods of its intervals."""
-    columns = [found.table.column(column).to_pylist() for column in ("experiment", name, f"{name}_low", f"{name}_high", "n")]
+    columns = [
+        statistics.table.column(column).to_pylist() for column in ("experiment", name, f"{name}_low", f"{name}_high", "n")
+    ]
     if name in survival.STATISTICS:  # these count the runs that never reached the threshold too
-        columns[-1] = [n + never for n, never in zip(columns[-1], found.table.column("never").to_pylist(), strict=True)]
-    methods = found.table.column(f"{name}_interval").to_pylist()
+        columns[-1] = [n + never for n, never in zip(columns[-1], statistics.table.column("never").to_pylist(), strict=True)]
+    methods = statistics.table.column(f"{name}_interval").to_pylist()
     rows = [row for row in zip(*columns, methods, strict=True) if row[0] in ordinals]
     return {row[0]: row[1:5] for row in rows}, list(dict.fromkeys(row[5] for row in rows if row[5]))
 
 
-def _unit(config: Project, found: Statistics, column: str) -> str:
-    declared = config.declared(found.output)
-    return "ns" if column in found.durations else declared.units.get(column, "") if declared else ""
+def _unit(config: Project, statistics: Statistics, column: str) -> str:
+    declared = config.declared(statistics.output)
+    return "ns" if column in statistics.durations else declared.units.get(column, "") if declared else ""
 
 
 def _header(name: str, unit: str) -> str:
@@ -187,7 +193,7 @@ def paper_table(
         shown[("n",)] = [str(count) for count in counts]
     methods = {name: list(dict.fromkeys(filter(None, columns[f"{name}_interval"]))) for name in names}
     texts = [
-        place for place, name in enumerate(headers) if name not in names and any(isinstance(v, str) for v in columns[name])
+        index for index, name in enumerate(headers) if name not in names and any(isinstance(v, str) for v in columns[name])
     ]
     note = "; ".join(filter(None, (n, intervals(methods), notes)))
     rows = tuple(zip(*shown.values(), strict=True))
@@ -204,7 +210,7 @@ def plain(values: Sequence[object]) -> list[Cell]:
 
 def intervals(methods: Mapping[str, Iterable[str]]) -> str:
     """Return what the intervals are, in words."""
-    having = {name: " or ".join(found) for name, found in methods.items() if found}
+    having = {name: " or ".join(applied) for name, applied in methods.items() if applied}
     if not having:
         return "no intervals"
     if len(methods) == 1:
@@ -219,12 +225,12 @@ def latex(table: PaperTable) -> str:
     is wider nevertheless is a `table*`, for both columns.
     """
     heads = table.heads or tuple((header,) for header in table.headers)
-    widths = [max(len(as_text(row[place])) for row in table.rows) for place in range(len(heads))]
+    widths = [max(len(as_text(row[column])) for row in table.rows) for column in range(len(heads))]
     own = [[head[-1]] for head in heads]
     if _width(heads, own, widths) > COLUMN:
         own = [_wrapped(lines[0], max(width, NARROWEST)) for lines, width in zip(own, widths, strict=True)]
     star = "*" if _width(heads, own, widths) > COLUMN else ""
-    alignment = "".join("l" if place in table.texts else "r" for place in range(len(heads)))
+    alignment = "".join("l" if column in table.texts else "r" for column in range(len(heads)))
     lines = [
         r"\footnotesize\setlength{\tabcolsep}{4pt}%",
         rf"\begin{{tabular}}{{@{{}}{alignment}@{{}}}}",
@@ -280,11 +286,11 @@ def _below(own: Sequence[Sequence[str]]) -> list[tuple[str, ...]]:
 
 def _width(heads: Sequence[Heads], own: Sequence[Sequence[str]], widths: Sequence[int]) -> float:
     """Return about the width of a table in points; `widths` are the numbers of characters of the widest cells."""
-    found = [max(width, *map(len, lines)) * CHARACTER for width, lines in zip(widths, own, strict=True)]
+    points = [max(width, *map(len, lines)) * CHARACTER for width, lines in zip(widths, own, strict=True)]
     for spans in reversed(list(_spans(heads))):
         for head, first, end in spans:
-            found[end - 1] += max(0.0, len(head) * CHARACTER - sum(found[first:end]) - GAP * (end - first - 1))
-    return sum(found) + GAP * (len(found) - 1)
+            points[end - 1] += max(0.0, len(head) * CHARACTER - sum(points[first:end]) - GAP * (end - first - 1))
+    return sum(points) + GAP * (len(points) - 1)
 
 
 def escaped(text: str) -> str:
@@ -313,7 +319,7 @@ def _latex_cell(cell: Cell) -> str:
 
 def markdown(table: PaperTable) -> str:
     """Return the table as a table of GitHub's Markdown."""
-    rules = [":--" if place in table.texts else "--:" for place in range(len(table.headers))]
+    rules = [":--" if column in table.texts else "--:" for column in range(len(table.headers))]
     rows = [table.headers, rules, *([as_text(cell) for cell in row] for row in table.rows)]
     lines = ["| " + " | ".join(as_markdown(cell) for cell in row) + " |" for row in rows]
     above = [as_markdown(table.caption), ""] if table.caption else []

@@ -70,17 +70,17 @@ class RunsForPower:
     @property
     def runs(self) -> int | None:
         """Return the number of runs of each group that is enough for each comparison; None if it is above 2000."""
-        found = [one.runs for one in self.comparisons]
-        return None if None in found else max(one for one in found if one is not None)
+        needed = [comparison.runs for comparison in self.comparisons]
+        return None if None in needed else max(runs for runs in needed if runs is not None)
 
     def arrow(self) -> pa.Table:
         """Return an Arrow table with a row for each comparison; `power_with` only if it was asked about."""
         import pyarrow as pa
 
-        variables = list(dict.fromkeys(name for one in self.comparisons for name in one.point))
+        variables = list(dict.fromkeys(name for comparison in self.comparisons for name in comparison.point))
         fields = FIELDS if self.asked is not None else FIELDS[:-1]
-        columns: list[list[object]] = [[one.point.get(name) for one in self.comparisons] for name in variables]
-        columns += [[getattr(one, name) for one in self.comparisons] for name in fields]
+        columns: list[list[object]] = [[comparison.point.get(name) for comparison in self.comparisons] for name in variables]
+        columns += [[getattr(comparison, name) for comparison in self.comparisons] for name in fields]
         names = column_names([*variables, *fields], taken=())
         return pa.table({name: pa.array(values) for name, values in zip(names, columns, strict=True)})
 

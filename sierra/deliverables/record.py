@@ -144,15 +144,19 @@ def other_version(row: DeliverableRow, version: int, remedy: str) -> str:
     Definitions have the version of the method that computes them; none is version 1.
     """
     with parsing(row.name):
-        made = int({**json.loads(row.definition)}.get("version", 1))
-    return f"it is by version {made} of its method, and this SIERRA has version {version}; {remedy}" if made != version else ""
+        recorded = int({**json.loads(row.definition)}.get("version", 1))
+    return (
+        f"it is by version {recorded} of its method, and this SIERRA has version {version}; {remedy}"
+        if recorded != version
+        else ""
+    )
 
 
 def hashes(root: Path, row: DeliverableRow) -> list[str | None]:
     """Return the SHA-256 of each file of a deliverable; None for a file that cannot be read."""
-    found: list[str | None] = []
+    digests: list[str | None] = []
     for file in row.files:
-        found.append(None)
+        digests.append(None)
         with contextlib.suppress(OSError):
-            found[-1] = sha256_file(root / file)
-    return found
+            digests[-1] = sha256_file(root / file)
+    return digests

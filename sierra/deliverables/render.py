@@ -105,7 +105,7 @@ def _write_tables(
 
 def _check_models(name: str | None, *galleries: Gallery) -> None:
     """Raise SierraError if the figure that was requested by its name was drawn without a model."""
-    for model, reason in ((model, reason) for one in galleries for model, reason in one.models.failed.items()):
+    for model, reason in ((model, reason) for gallery in galleries for model, reason in gallery.models.failed.items()):
         if name is not None:
             raise SierraError(f"figure {name} was drawn without model {model}: {reason}")
 
@@ -166,7 +166,7 @@ def overlaid(
     with ExitStack() as frames:
         galleries = _galleries(project, store, batches, frames, word)
         first, *others = galleries.values()
-        added = [one.frame.batch for one in others]
+        added = [gallery.frame.batch for gallery in others]
         drawer = _Drawer(project, store, first.frame, *added, again=True, formats=formats)
         declared = project.config.paper_tables
         tables, failed = _write_tables(drawer, project, store, batches, name, declared if name else bound.unbound(declared))
@@ -174,9 +174,9 @@ def overlaid(
             return tables, drawer.close()
         wanted, notes = default_figures.wanted(first, name, together=True)
 
-        def drawing(called: str, found: Figure) -> Drawing:
-            figure = overlay.fitting(found, declared=bool(project.config.figures))
-            fitted = called.replace("_heatmap", "_summary") if figure is not found else called
+        def drawing(called: str, original: Figure) -> Drawing:
+            figure = overlay.fitting(original, declared=bool(project.config.figures))
+            fitted = called.replace("_heatmap", "_summary") if figure is not original else called
             return _overlay(galleries, overlay.name_of(fitted, galleries), figure, word)
 
         drawn, undrawn = _draw_each(drawer, wanted, drawing, strict=name is not None)
@@ -198,7 +198,7 @@ def _galleries(
 
 
 def _overlay(galleries: Mapping[str, Gallery], name: str, figure: Figure, word: overlay.Word) -> Drawing:
-    return overlay.merged({one: gallery.drawing(name, figure) for one, gallery in galleries.items()}, word)
+    return overlay.merged({label: gallery.drawing(name, figure) for label, gallery in galleries.items()}, word)
 
 
 class _Drawer:

@@ -179,8 +179,8 @@ def of_tables(
     """Return the name of an output and its columns; without names, the only ones. Raises NotFound, UsageError."""
     with BatchData(store, batch) as frame:
         gallery = Gallery(project, store, frame, only={output} if output else frame.names)
-        found = gallery.output(Figure(table=output, column=columns))
-        return found.name, columns or (gallery.only_column(found),)
+        table = gallery.output(Figure(table=output, column=columns))
+        return table.name, columns or (gallery.only_column(table),)
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,7 +216,9 @@ class RunTable:
         if offset == self.offset:
             return self
         moved = float(self.offset - offset)
-        values = {place: tuple(replace(run, value=run.value + moved) for run in runs) for place, runs in self.values.items()}
+        values = {
+            ordinal: tuple(replace(run, value=run.value + moved) for run in runs) for ordinal, runs in self.values.items()
+        }
         return replace(self, values=values, offset=offset)
 
     def among(self, experiments: str) -> RunTable:

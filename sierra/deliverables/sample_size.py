@@ -49,17 +49,17 @@ class RunsNeeded:
     @property
     def runs(self) -> int | None:
         """Return the number of runs that is enough for all experiments, with a probability of 80 % for each."""
-        found = [one.safe_runs for one in self.experiments]
-        return max((one for one in found if one is not None), default=None) if None not in found else None
+        needed = [experiment.safe_runs for experiment in self.experiments]
+        return max((runs for runs in needed if runs is not None), default=None) if None not in needed else None
 
     def arrow(self) -> pa.Table:
         """Return an Arrow table with a row for each experiment."""
         import pyarrow as pa
 
-        variables = list(dict.fromkeys(name for one in self.experiments for name in one.point))
-        columns: list[list[object]] = [[one.point.get(name) for one in self.experiments] for name in variables]
+        variables = list(dict.fromkeys(name for experiment in self.experiments for name in experiment.point))
+        columns: list[list[object]] = [[experiment.point.get(name) for experiment in self.experiments] for name in variables]
         fields = ("pilot", "sd", "runs", "safe_runs")
-        columns += [[getattr(one, name) for one in self.experiments] for name in fields]
+        columns += [[getattr(experiment, name) for experiment in self.experiments] for name in fields]
         names = column_names([*variables, *fields], taken=())
         return pa.table({name: pa.array(values) for name, values in zip(names, columns, strict=True)})
 

@@ -40,9 +40,9 @@ def of_single_rows(batch: BatchData, output: OutputTable, time: str) -> str:
     """
     if not time:
         return ""
-    measured = [one for one in output.columns if one != time and not _numbers_rows(batch, output.name, one, time)]
+    measured = [column for column in output.columns if column != time and not _numbers_rows(batch, output.name, column, time)]
     of_members = len(measured) < len(output.columns) - 1 and not _has_single_rows(batch, output.name, time)
-    table, at = (_name(batch, one) for one in (output.name, time))
+    table, at = (_name(batch, name) for name in (output.name, time))
     if of_members and measured:
         name = _name(batch, measured[0])
         sql = f"SELECT run, {at}, avg({name}) AS {name} FROM {table} GROUP BY run, {at}"  # noqa: S608 - the user may write it
@@ -83,27 +83,27 @@ def _has_words(batch: BatchData, table: str, column: str) -> bool:
     """Check if the texts of a column are words: neither true, false and the like, nor texts with a number at an end."""
     name = f"lower(trim({identifier(column)}))"
     number = f"regexp_matches({name}, '^[-+]?[.]?[0-9]|[(\\[] *[-+]?[.]?[0-9]|^(true|false)$')"
-    return not _any(batch, table, f"WHERE {number}")
+    return not _selects_rows(batch, table, f"WHERE {number}")
 
 
 def _has_flags(batch: BatchData, table: str, column: str) -> bool:
     """Check if all texts of a column are true, false, 0 or 1."""
-    return not _any(batch, table, f"WHERE lower(trim({identifier(column)})) NOT IN ('true', 'false', '0', '1')")
+    return not _selects_rows(batch, table, f"WHERE lower(trim({identifier(column)})) NOT IN ('true', 'false', '0', '1')")
 
 
 def _numbers_rows(batch: BatchData, table: str, column: str, time: str) -> bool:
     """Check if whole numbers in a column tell rows of one run and time apart, as the number of a robot does."""
     number, t = identifier(column), identifier(time)
-    has_fractions = _any(batch, table, f"WHERE {number} <> floor({number})")
-    return not has_fractions and not _any(batch, table, f"GROUP BY run, {t}, {number} HAVING count(*) > 1")
+    has_fractions = _selects_rows(batch, table, f"WHERE {number} <> floor({number})")
+    return not has_fractions and not _selects_rows(batch, table, f"GROUP BY run, {t}, {number} HAVING count(*) > 1")
 
 
 def _has_single_rows(batch: BatchData, table: str, time: str) -> bool:
     """Check if some run has a single row at some time."""
-    return _any(batch, table, f"GROUP BY run, {identifier(time)} HAVING count(*) = 1")
+    return _selects_rows(batch, table, f"GROUP BY run, {identifier(time)} HAVING count(*) = 1")
 
 
-def _any(batch: BatchData, table: str, clause: str) -> bool:
+def _selects_rows(batch: BatchData, table: str, clause: str) -> bool:
     """Return whether an output has rows, or groups of rows, that a clause in SQL selects."""
     return bool(batch.run(f"SELECT 1 FROM {batch.rows(table)} {clause} LIMIT 1"))  # noqa: S608 - own statements
 

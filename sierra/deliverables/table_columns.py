@@ -32,28 +32,28 @@ def side_by_side(columns: Columns, across: str) -> PaperTable:
     count = len(columns.keys[across])
     rest = {key: values for key, values in columns.keys.items() if key != across}
     keys = list(zip(*rest.values(), strict=True)) if rest else [()] * count
-    rows = {key: place for place, key in enumerate(dict.fromkeys(keys))}
+    rows = {key: row for row, key in enumerate(dict.fromkeys(keys))}
     heads = [columns.headers[key] for key in rest]
     headers = list(map(flat, heads))
-    found: list[Sequence[Cell]] = [plain([key[place] for key in rows]) for place in range(len(rest))]
+    body: list[Sequence[Cell]] = [plain([key[index] for key in rows]) for index in range(len(rest))]
     groups = list(dict.fromkeys(columns.keys[across]))
     for group, shown in zip(groups, plain(groups), strict=True):
         above: Heads = (str(shown),) if isinstance(group, str) else (*columns.headers[across], str(shown))
         named = " = ".join(above)
         places = {rows[keys[k]]: k for k in range(count) if columns.keys[across][k] == group}
-        if len(places) < sum(one == group for one in columns.keys[across]):
+        if len(places) < sum(value == group for value in columns.keys[across]):
             raise UsageError(f"across: two rows have the same {across!r} and other values; leave it out, or group the rows")
         for name, cells in columns.cells.items():
             own = columns.headers[name]
             heads.append((*own, *above) if len(columns.cells) == 1 else (*above, *own))
             headers.append(f"{flat(own)} ({named})")
-            found.append([cells[places[row]] if row in places else None for row in range(len(rows))])
-    return _table(columns, headers, heads, found)
+            body.append([cells[places[row]] if row in places else None for row in range(len(rows))])
+    return _table(columns, headers, heads, body)
 
 
 def _table(columns: Columns, headers: Sequence[str], heads: Sequence[Heads], cells: Sequence[Sequence[Cell]]) -> PaperTable:
     """Return the table; columns of texts that are no numbers are aligned to the left."""
-    texts = frozenset(place for place, column in enumerate(cells) if any(map(_is_text, column)))
+    texts = frozenset(index for index, column in enumerate(cells) if any(map(_is_text, column)))
     return PaperTable(tuple(headers), tuple(zip(*cells, strict=True)), columns.note, texts=texts, heads=tuple(heads))
 
 

@@ -50,17 +50,17 @@ def columns(
     """Return the columns of statistics, the numbers behind them, and the SQL that computed these."""
     import pyarrow as pa
 
-    found = {label: _estimates(project, store, declared, batch) for label, batch in batches.items()}
-    first = next(iter(found.values()))
-    for label, one in found.items():
-        if (one.axes, one.headers) != (first.axes, first.headers):
-            raise UsageError(f"batch {label!r} has other variables, columns or units than {next(iter(found))!r}")
-    places = [(label, ordinal) for label, one in found.items() for ordinal in one.rows]
-    keys: dict[str, list[Value | None]] = {BATCH: [label for label, _ in places]} if len(found) > 1 else {}
-    shown = keys | {axis: [found[label].labelled[ordinal][axis] for label, ordinal in places] for axis in first.axes}
-    keys |= {axis: [found[label].rows[ordinal][axis] for label, ordinal in places] for axis in first.axes}
+    by_label = {label: _estimates(project, store, declared, batch) for label, batch in batches.items()}
+    first = next(iter(by_label.values()))
+    for label, estimates in by_label.items():
+        if (estimates.axes, estimates.headers) != (first.axes, first.headers):
+            raise UsageError(f"batch {label!r} has other variables, columns or units than {next(iter(by_label))!r}")
+    places = [(label, ordinal) for label, estimates in by_label.items() for ordinal in estimates.rows]
+    keys: dict[str, list[Value | None]] = {BATCH: [label for label, _ in places]} if len(by_label) > 1 else {}
+    shown = keys | {axis: [by_label[label].labelled[ordinal][axis] for label, ordinal in places] for axis in first.axes}
+    keys |= {axis: [by_label[label].rows[ordinal][axis] for label, ordinal in places] for axis in first.axes}
     numbers = {
-        column: [found[label].values[column].get(ordinal, NOTHING) for label, ordinal in places] for column in first.values
+        column: [by_label[label].values[column].get(ordinal, NOTHING) for label, ordinal in places] for column in first.values
     }
     cells: dict[str, list[Cell]] = {
         column: [None if value is None else rounded(value, low, high) for value, low, high, _ in some]
@@ -69,23 +69,30 @@ def columns(
     counts = {n for some in numbers.values() for *_, n in some}
     if len(counts) > 1:
         cells |= {f"n {column}" if len(numbers) > 1 else "n": [str(n) for *_, n in some] for column, some in numbers.items()}
-    methods = {column: dict.fromkeys(m for one in found.values() for m in one.methods[column]) for column in numbers}
+    methods = {
+        column: dict.fromkeys(m for estimates in by_label.values() for m in estimates.methods[column]) for column in numbers
+    }
     n = f"n = {counts.pop()}" if len(counts) == 1 else ""
-    note = "; ".join(filter(None, (n, paper_tables.intervals(methods), *overlay.together(_notes(found)))))
-    parts = {f"{column} {part}": [one[k] for one in some] for column, some in numbers.items() for k, part in enumerate(PARTS)}
+    note = "; ".join(filter(None, (n, paper_tables.intervals(methods), *overlay.together(_notes(by_label)))))
+    parts = {
+        f"{column} {part}": [estimate[k] for estimate in some]
+        for column, some in numbers.items()
+        for k, part in enumerate(PARTS)
+    }
     data = pa.table({**{f"key {key}": pa.array(values) for key, values in keys.items()}, **parts})
-    headers: dict[str, Heads] = {BATCH: (BATCH,), **first.headers} if len(found) > 1 else dict(first.headers)
+    headers: dict[str, Heads] = {BATCH: (BATCH,), **first.headers} if len(by_label) > 1 else dict(first.headers)
     headers |= {column: (column.replace("_", " "),) for column in cells if column not in headers}
-    sql = "\n\n".join(dict.fromkeys(text for one in found.values() for text in one.sql))
+    sql = "\n\n".join(dict.fromkeys(text for estimates in by_label.values() for text in estimates.sql))
     return Columns(headers, shown, cells, note), data, sql
 
 
 PARTS = ("value", "low", "high", "n")
 
 
-def _notes(found: Mapping[str, _Estimates]) -> dict[str, str]:
+def _notes(by_label: Mapping[str, _Estimates]) -> dict[str, str]:
     return {
-        label: "; ".join(dict.fromkeys(part for text in one.notes for part in text.split("; "))) for label, one in found.items()
+        label: "; ".join(dict.fromkeys(part for text in estimates.notes for part in text.split("; ")))
+        for label, estimates in by_label.items()
     }
 
 
@@ -97,24 +104,31 @@ def _estimates(project: LoadedProject, store: Store, declared: TableForPaper, ba
         names = [axis.name for axis in gallery.axes]
         return condition.among(declared.experiments, names, gallery.frame.cells(), gallery.cells)
 
-    found = {
+    by_column = {
         column: statistics(project, store, batch, output, column, measure, declared.threshold, None, declared.statistics, rows)
         for column in columns
     }
     config = targets.of_batch(project, store, batch).config
-    first = next(iter(found.values()))
+    first = next(iter(by_column.values()))
     cells = {ordinal: first.cells[ordinal] for ordinal in first.table.column("experiment").to_pylist()}
     chosen = condition.among(declared.experiments, first.axes, cells, first.labelled)
     axes = zip(first.axes, paper_tables.axis_headers(config, first), strict=True)
     headers: dict[str, Heads] = {axis: (header,) for axis, header in axes}
     values, methods = {}, {}
-    for column, one in found.items():
-        for statistic, header in paper_tables.statistic_headers(config, one).items():
+    for column, computed in by_column.items():
+        for statistic, header in paper_tables.statistic_headers(config, computed).items():
             called = column if declared.statistics == paper_tables.PLAIN else f"{statistic} {column}"
             headers[called] = header
-            values[called], methods[called] = paper_tables.estimates_of(one, statistic, chosen)
-    notes = tuple("; ".join(one.notes) for one in found.values())
+            values[called], methods[called] = paper_tables.estimates_of(computed, statistic, chosen)
+    notes = tuple("; ".join(computed.notes) for computed in by_column.values())
     rows_shown = {ordinal: values for ordinal, values in cells.items() if ordinal in chosen}
     return _Estimates(
-        first.axes, rows_shown, first.labelled, values, headers, methods, notes, tuple(one.sql for one in found.values())
+        first.axes,
+        rows_shown,
+        first.labelled,
+        values,
+        headers,
+        methods,
+        notes,
+        tuple(computed.sql for computed in by_column.values()),
     )

@@ -57,16 +57,16 @@ class Baselines(Table):
 def decision_of(config: Project, claim: Claim) -> str:
     """Return what a claim measures, as JSON: results of claims that measure something else cannot be compared."""
     how = next(kind for kind in DECISIONS if getattr(claim, kind))
-    found = claim.model_dump(mode="json", include={*RESTS_ON, how}, exclude_defaults=True)
+    declared = claim.model_dump(mode="json", include={*RESTS_ON, how}, exclude_defaults=True)
     if claim.value:
-        found[how] = {key: value for key, value in found[how].items() if key not in JUDGED}
+        declared[how] = {key: value for key, value in declared[how].items() if key not in JUDGED}
     named = [word.rpartition("=")[2] for word in (*claim.query, *claim.batches)]
     queries = {
         name: config.queries[name].model_dump(mode="json", exclude={"runs"}, exclude_defaults=True)
         for name in named
         if name in config.queries
     }
-    return json.dumps(found | {"queries": queries}, sort_keys=True, ensure_ascii=False)
+    return json.dumps(declared | {"queries": queries}, sort_keys=True, ensure_ascii=False)
 
 
 def read(root: Path, name: str) -> Mapping[str, ClaimInBaseline]:
@@ -78,22 +78,22 @@ def read(root: Path, name: str) -> Mapping[str, ClaimInBaseline]:
     return every[name]
 
 
-def write(root: Path, name: str, config: Project, found: Sequence[Evaluated]) -> Path:
+def write(root: Path, name: str, config: Project, evaluations: Sequence[Evaluated]) -> Path:
     """Write evaluations to the project's baseline of this name; return the file. Raises ConfigError, Missing."""
     path = root / BASELINES
     known = _read(path).model_dump(mode="json", exclude_defaults=True).get("baselines", {})
-    known[name] = {one.name: _written(config, one) for one in found}
+    known[name] = {evaluation.name: _written(config, evaluation) for evaluation in evaluations}
     try:
         return write_whole(path, _text({"format": 1, "baselines": known}).encode())
     except OSError as error:
         raise Missing(f"{path}: cannot be written: {error.strerror}") from error
 
 
-def _written(config: Project, found: Evaluated) -> dict[str, object]:
+def _written(config: Project, evaluation: Evaluated) -> dict[str, object]:
     """Return the keys of a result that is in a baseline; numbers that are not finite are none."""
-    values = {name: value for name, value in asdict(found).items() if name in ClaimInBaseline.model_fields}
+    values = {name: value for name, value in asdict(evaluation).items() if name in ClaimInBaseline.model_fields}
     kept = {name: value for name, value in values.items() if value not in ((), {}) and not _is_none(value)}
-    return kept | {"verdict": str(found.verdict), "decision": decision_of(config, config.claims[found.name])}
+    return kept | {"verdict": str(evaluation.verdict), "decision": decision_of(config, config.claims[evaluation.name])}
 
 
 def _is_none(value: object) -> bool:

@@ -29,12 +29,12 @@ def find(store: Store, name: str, claim: Claim, batches: Mapping[str, str]) -> C
     if isinstance(n, ClaimResult):
         return n
     origin = f"[claims.{name}] sql"
-    made = joined(store, batches, claim.sql, origin, find_undefined=True)
-    if made.table.num_rows != 1:
-        raise SierraError(f"{origin}: it has {made.table.num_rows} rows; a claim needs one")
-    first, *others = made.table.column_names
-    row: dict[str, SqlValue] = dict(zip(made.table.column_names, rows_of(made.table)[0].values(), strict=True))
-    if (kind := str(made.table.schema.field(0).type)) != "bool":
+    answer = joined(store, batches, claim.sql, origin, find_undefined=True)
+    if answer.table.num_rows != 1:
+        raise SierraError(f"{origin}: it has {answer.table.num_rows} rows; a claim needs one")
+    first, *others = answer.table.column_names
+    row: dict[str, SqlValue] = dict(zip(answer.table.column_names, rows_of(answer.table)[0].values(), strict=True))
+    if (kind := str(answer.table.schema.field(0).type)) != "bool":
         raise SierraError(f"{origin}: its first column {first!r} is {kind}, not true or false; write a condition, as in x > 1")
     numbers = {other: row[other] for other in others}
     digits = digits_apart(numbers.values())
@@ -43,9 +43,9 @@ def find(store: Store, name: str, claim: Claim, batches: Mapping[str, str]) -> C
     if row[first] is None:
         return ClaimResult(Verdict.cannot_tell, f"the statement yields NULL; {text}", n, numbers=numbers)
     undefined = [other for other, value in numbers.items() if isinstance(value, float) and math.isnan(value)]
-    if undefined or made.undefined:
+    if undefined or answer.undefined:
         where = (
-            f"{undefined[0]} is NaN" if undefined else f"{made.undefined[0]} has NaN, which SQL takes for the largest number"
+            f"{undefined[0]} is NaN" if undefined else f"{answer.undefined[0]} has NaN, which SQL takes for the largest number"
         )
         return ClaimResult(Verdict.cannot_tell, f"{where}; use isfinite() in the statement", n, numbers=numbers)
     value = next((v for v in numbers.values() if isinstance(v, int | float) and not isinstance(v, bool)), None)

@@ -136,15 +136,15 @@ def test(
     question = Question(asked.alpha, margin, asked.paired)
     tables = project.config.comparison_methods
     pairs, paired, notes = _pairs(cells, question, asked.method, tables)
-    one = next(iter(runs.values()))
-    unit = f" {one.unit}" if one.unit not in ("", "1") else ""
+    first = next(iter(runs.values()))
+    unit = f" {first.unit}" if first.unit not in ("", "1") else ""
     about = dict.fromkeys((*(note for table in runs.values() for note in table.notes), *notes))
-    made = Tested(asked, pairs, n, unit, paired, tuple(about))
+    tested = Tested(asked, pairs, n, unit, paired, tuple(about))
     if margin is not None and any(_beyond(pair, margin) for pair in pairs):
         strict = replace(question, alpha=asked.alpha / (tests * len(pairs)))
         corrected, _, _ = _pairs(cells, strict, asked.method, tables)
-        made = replace(made, outside=tuple(pair for pair in corrected if _beyond(pair, margin)))
-    return made
+        tested = replace(tested, outside=tuple(pair for pair in corrected if _beyond(pair, margin)))
+    return tested
 
 
 def _in_order(cell: Cell, asked: Asked) -> Cell:
@@ -164,19 +164,19 @@ def _pairs(
     pairs: list[Pair] = []
     paired: list[bool] = []
     notes: list[str] = []
-    for place in range(len(cells[0].samples) - 1):
-        two = [replace(cell, samples=_neighbours(cell, place)) for cell in cells]
-        found = analyse(two, question, (), method, tables)
-        if len(found.pairs) < len(two):
-            raise SierraError("; ".join(found.notes) or "an experiment cannot be compared")
-        pairs += found.pairs
-        paired += [found.pairing.paired] * len(two)
-        notes += found.notes
+    for index in range(len(cells[0].samples) - 1):
+        two = [replace(cell, samples=_neighbours(cell, index)) for cell in cells]
+        analysis = analyse(two, question, (), method, tables)
+        if len(analysis.pairs) < len(two):
+            raise SierraError("; ".join(analysis.notes) or "an experiment cannot be compared")
+        pairs += analysis.pairs
+        paired += [analysis.pairing.paired] * len(two)
+        notes += analysis.notes
     return tuple(pairs), tuple(paired), tuple(notes)
 
 
-def _neighbours(cell: Cell, place: int) -> tuple[Sample, Sample]:
-    return cell.samples[place + 1], cell.samples[place]
+def _neighbours(cell: Cell, index: int) -> tuple[Sample, Sample]:
+    return cell.samples[index + 1], cell.samples[index]
 
 
 def _beyond(pair: Pair, margin: float) -> bool:
@@ -189,12 +189,12 @@ def conclude(tested: Tested, p: float, family: Family) -> ClaimResult:
     alpha, tests = tested.asked.alpha, family.tests
     only = tested.pairs[0] if len(tested.pairs) == 1 else None
     margin = f", margin {tested.asked.margin:g}{tested.unit}" if isinstance(tested.asked, ClaimedEquivalence) else ""
-    what = few([_text(*one, tested) for one in zip(tested.pairs, tested.paired, strict=True)], SHOWN) + margin
+    what = few([_text(*compared, tested) for compared in zip(tested.pairs, tested.paired, strict=True)], SHOWN) + margin
     end = f"{_p(p)} after correction for {counted(tests, 'test')} (Holm), alpha = {alpha:g}"
     value, low, high = (only.difference, only.low, only.high) if only else (None, None, None)
     chosen = f"; {family.selection}" if family.selection else ""
 
-    def found(verdict: Verdict, text: str) -> ClaimResult:
+    def finding(verdict: Verdict, text: str) -> ClaimResult:
         return ClaimResult(
             verdict,
             text + chosen,
@@ -211,16 +211,16 @@ def conclude(tested: Tested, p: float, family: Family) -> ClaimResult:
 
     if tested.smallest * tests > alpha * (1 + 1e-12):
         text = f"n is too small for any verdict at alpha = {alpha:g} over {counted(tests, 'test')}; {what}"
-        return found(Verdict.cannot_tell, text)
+        return finding(Verdict.cannot_tell, text)
     if tested.outside:
         text = f"{what}; beyond the margin after correction for {counted(tests, 'test')} (Bonferroni)"
-        return found(Verdict.does_not_hold, text)
+        return finding(Verdict.does_not_hold, text)
     if max(p, tested.smallest) <= alpha:
-        return found(Verdict.holds if tested.shown else Verdict.does_not_hold, f"{what}; {end}")
+        return finding(Verdict.holds if tested.shown else Verdict.does_not_hold, f"{what}; {end}")
     count = max(tests, len(tested.pairs))
     apart = count > 1 and not all(map(covers_zero, tested.pairs))
     alone = f"; each interval is of one pair alone, not corrected for {count} {'tests' if tests == count else 'pairs'}"
-    return found(Verdict.cannot_tell, f"not shown: {what}; {end}{alone if apart else ''}")
+    return finding(Verdict.cannot_tell, f"not shown: {what}; {end}{alone if apart else ''}")
 
 
 def _text(pair: Pair, paired: bool, tested: Tested) -> str:

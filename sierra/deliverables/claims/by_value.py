@@ -35,7 +35,7 @@ def find(project: LoadedProject, store: Store, claim: Claim, value: ClaimedValue
     counted = [run for run in chosen.values[ordinal] if run.reached or value.statistic in CENSORED]
     if (too_many := lost(claim, len(counted), planned)) is not None:
         return too_many
-    found = statistics(
+    computed = statistics(
         project,
         store,
         batch,
@@ -48,8 +48,8 @@ def find(project: LoadedProject, store: Store, claim: Claim, value: ClaimedValue
         where=value.where,
     )
     each = {} if value.statistic in CENSORED else {str(run.seed): run.value + runs.offset for run in counted}
-    notes = tuple(filter(None, "; ".join(found.notes).split("; ")))
-    estimates, _ = paper_tables.estimates_of(found, value.statistic, {ordinal})
+    notes = tuple(filter(None, "; ".join(computed.notes).split("; ")))
+    estimates, _ = paper_tables.estimates_of(computed, value.statistic, {ordinal})
     estimate, low, high, n = estimates[ordinal]
     unit = f" {runs.unit}" if runs.unit not in ("", "1") else ""
     margin = distance(value.margin, value.expected)
@@ -66,7 +66,7 @@ def find(project: LoadedProject, store: Store, claim: Claim, value: ClaimedValue
             notes=notes,
         )
     digits = digits_apart([estimate, low, high, value.expected])
-    known, least, most = (short_number(one, digits) for one in (estimate, low, high))
+    known, least, most = (short_number(number, digits) for number in (estimate, low, high))
     expected = f"expected {short_number(value.expected, digits)} ± {short_number(margin)}{unit}"
     text = f"{what} = {known}{unit}, 95 % CI [{least}, {most}], {expected}"
     verdict = decide(low, high, value.expected - margin, value.expected + margin)

@@ -57,8 +57,8 @@ def evaluate(
     needed = {*chosen, *(() if chosen.keys().isdisjoint(tested) else tested)}
     tables = PairTables(project, store)
     rests: dict[str, tuple[str, ...]] = {}
-    found = {name: _find(project, store, known, tables, name, rests) for name in every if name in needed}
-    concluded = _corrected(project, found)
+    findings = {name: _find(project, store, known, tables, name, rests) for name in every if name in needed}
+    concluded = _corrected(project, findings)
     imported = dict(store.select(_Imported, IMPORTED))
     registered = registrations(project, store, {name: rests.get(name, ()) for name in chosen})
     return tuple(
@@ -110,10 +110,10 @@ def _find(
             return tables.prepared(claim.tested, own)
         raise UsageError(f"[claims.{name}] says not how it is decided")  # the model of the table refuses that
 
-    return _told(find)
+    return _result_or_undecided(find)
 
 
-def _told(find: Callable[[], R]) -> R | ClaimResult:
+def _result_or_undecided(find: Callable[[], R]) -> R | ClaimResult:
     """Return the result of a step; if it raises, the finding that nothing can be told, with the reason."""
     try:
         return find()
@@ -123,15 +123,17 @@ def _told(find: Callable[[], R]) -> R | ClaimResult:
         return ClaimResult(Verdict.cannot_tell, one_line(error))
 
 
-def _corrected(project: LoadedProject, found: Mapping[str, ClaimResult | Prepared]) -> dict[str, ClaimResult]:
+def _corrected(project: LoadedProject, findings: Mapping[str, ClaimResult | Prepared]) -> dict[str, ClaimResult]:
     """Return the findings, with the tests of each family corrected together; one that is not possible counts with p = 1."""
-    prepared = {name: one for name, one in found.items() if isinstance(one, Prepared)}
-    done = {name: one for name, one in found.items() if isinstance(one, ClaimResult)}
+    prepared = {name: finding for name, finding in findings.items() if isinstance(finding, Prepared)}
+    done = {name: finding for name, finding in findings.items() if isinstance(finding, ClaimResult)}
     for family, members in families(prepared):
         tests: dict[str, Tested] = {}
-        for name, one in members.items():
+        for name, member in members.items():
             claim = project.config.claims[name]
-            tested = _told(partial(by_test.test, project, claim, one.asked, one.runs, one.cells, family.tests))
+            tested = _result_or_undecided(
+                partial(by_test.test, project, claim, member.asked, member.runs, member.cells, family.tests)
+            )
             if isinstance(tested, Tested):
                 tests[name] = tested
             else:
@@ -145,14 +147,14 @@ def _concluded(tests: Mapping[str, Tested], family: Family) -> dict[str, ClaimRe
         return {}
     from sierra.stats.comparison.rank_tests import holm
 
-    adjusted = holm([*(one.p for one in tests.values()), *[1.0] * (family.tests - len(tests))])
-    return {name: by_test.conclude(one, p, family) for (name, one), p in zip(tests.items(), adjusted, strict=False)}
+    adjusted = holm([*(tested.p for tested in tests.values()), *[1.0] * (family.tests - len(tests))])
+    return {name: by_test.conclude(tested, p, family) for (name, tested), p in zip(tests.items(), adjusted, strict=False)}
 
 
 def _evaluated(
     name: str,
     claim: Claim,
-    found: ClaimResult,
+    finding: ClaimResult,
     ground: Ground,
     rests: tuple[str, ...],
     imported: Mapping[str, str],
@@ -160,12 +162,12 @@ def _evaluated(
 ) -> Evaluated:
     shown = [f"figure {claim.figure}" if claim.figure else "", f"table {claim.table}" if claim.table else "", claim.paper]
     elsewhere = (
-        f"batch {short(one)} was not executed here: it came in package {short(imported[one])}"
-        for one in rests
-        if one in imported
+        f"batch {short(batch)} was not executed here: it came in package {short(imported[batch])}"
+        for batch in rests
+        if batch in imported
     )
     return Evaluated(
-        **{one.name: getattr(found, one.name) for one in fields(ClaimResult)} | {"notes": (*found.notes, *elsewhere)},
+        **{field.name: getattr(finding, field.name) for field in fields(ClaimResult)} | {"notes": (*finding.notes, *elsewhere)},
         name=name,
         says=claim.says,
         shown=", ".join(filter(None, shown)),

@@ -80,13 +80,13 @@ class PairTables:
 
     def _runs_of(self, asked: Comparison, batches: Mapping[str, str]) -> dict[str, RunTable]:
         """Return the runs of all experiments of batches, by their labels."""
-        found: dict[str, RunTable] = {}
+        runs: dict[str, RunTable] = {}
         for label, batch in batches.items():
             key = (batch, *(getattr(asked, name) for name in VALUES))
             if key not in self._runs:
                 self._runs[key] = runs_of_groups(self._project, {"": self._store}, {"": batch}, asked)
-            found[label] = self._runs[key][""]
-        return found
+            runs[label] = self._runs[key][""]
+        return runs
 
     def _declared(self, asked: Asked, batches: Mapping[str, str], runs: RunTable) -> tuple[str, dict[str, str]]:
         """Return the name of the comparison in `sierra.toml` that has the pairs of a claim, "" if none has, and its batches."""
@@ -106,13 +106,13 @@ class PairTables:
 
     def _batches(self, words: Iterable[str]) -> set[str]:
         """Return the batches that words of a comparison name; none for a query that was not run."""
-        found: set[str] = set()
+        batches: set[str] = set()
         for word in words:
             name = word.rpartition("=")[2]
             with contextlib.suppress(NotFound, QueryError):
                 known = name in self._project.config.queries
-                found.add(self._queries.last(name) if known else self._store.batch_id(name))
-        return found
+                batches.add(self._queries.last(name) if known else self._store.batch_id(name))
+        return batches
 
     def _command(self, name: str, asked: Asked, batches: Mapping[str, str], runs: RunTable) -> str:
         """Return the command that compares all pairs of a table; "" if only a comparison in `sierra.toml` could do it."""
@@ -145,16 +145,16 @@ def _pairs(cells: Iterable[Cell], batches: Mapping[str, str]) -> Iterator[PairId
     """Yield each two neighbouring groups of cells; of batches, by their ids."""
     for cell in cells:
         names = [batches.get(sample.group, sample.group) for sample in cell.samples]
-        for place in range(len(names) - 1):
-            yield frozenset(cell.point.items()), frozenset(names[place : place + 2])
+        for index in range(len(names) - 1):
+            yield frozenset(cell.point.items()), frozenset(names[index : index + 2])
 
 
 def families(prepared: Mapping[str, Prepared]) -> Iterator[tuple[Family, dict[str, Prepared]]]:
     """Yield each family of claims on one table of pairs, with these claims by name."""
     by_table: dict[Key, dict[str, Prepared]] = {}
-    for name, one in prepared.items():
-        by_table.setdefault(one.key, {})[name] = one
+    for name, claim in prepared.items():
+        by_table.setdefault(claim.key, {})[name] = claim
     for members in by_table.values():
         first = next(iter(members.values()))
-        claimed = frozenset[PairId]().union(*(one.named for one in members.values()))
+        claimed = frozenset[PairId]().union(*(claim.named for claim in members.values()))
         yield Family(len(members), first.pairs, len(claimed), first.command), members

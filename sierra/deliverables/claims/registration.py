@@ -211,13 +211,13 @@ def _word(own: Sequence[_Recorded], executions: Sequence[_Counted]) -> tuple[Reg
         return Registered.EXPLORATORY, f"it is not registered, and {counted(total, 'execution')} counted before"
     first: dict[tuple[str, ...] | None, int] = {}
     for row in own:
-        place = _place(row.packages)
-        first[place] = min(first.get(place, row.lamport), row.lamport)
+        origin = _place(row.packages)
+        first[origin] = min(first.get(origin, row.lamport), row.lamport)
     elsewhere = sum(row.executions for row in executions if _place(row.packages) not in first)
     before = sum(
         row.executions
         for row in executions
-        if (place := _place(row.packages)) in first and number_of(row.lamport) <= number_of(first[place])
+        if (origin := _place(row.packages)) in first and number_of(row.lamport) <= number_of(first[origin])
     )
     reasons = [f"{before} of {counted(total, 'execution')} began before it was registered"] if before else []
     if elsewhere:

@@ -105,9 +105,9 @@ class Changed:
         return self.now.notes
 
 
-def compare(config: Project, found: Sequence[Evaluated], baseline: Mapping[str, ClaimInBaseline]) -> tuple[Changed, ...]:
+def compare(config: Project, evaluations: Sequence[Evaluated], baseline: Mapping[str, ClaimInBaseline]) -> tuple[Changed, ...]:
     """Return the changes of evaluated claims since a baseline."""
-    return tuple(_compared(config, one, baseline.get(one.name)) for one in found)
+    return tuple(_compared(config, evaluation, baseline.get(evaluation.name)) for evaluation in evaluations)
 
 
 def _compared(config: Project, now: Evaluated, before: ClaimInBaseline | None) -> Changed:
@@ -134,12 +134,12 @@ def _by_margin(asked: ClaimedValue, now: Evaluated, before: ClaimInBaseline) -> 
         missing = f"the baseline has no value: {before.text}" if before.value is None else now.text
         return Changed(now.name, now.says, Change.cannot_tell, missing, now)
     margin = distance(asked.regression or 0.0, before.value)
-    found = change(before, now, asked.statistic)
+    estimate = change(before, now, asked.statistic)
     digits = digits_apart([now.value, before.value])
     what = f"{short_number(now.value, digits)} instead of {short_number(before.value, digits)}"
-    if found is None:
+    if estimate is None:
         return Changed(now.name, now.says, Change.cannot_tell, f"{what}; the runs are too few for an interval", now)
-    difference, low, high = found
+    difference, low, high = estimate
     worse = (low, high) if asked.better == "lower" else (-high, -low)
     verdict = OF_VERDICT[decide(*worse, -math.inf, margin)]
     text = f"{what}: change {difference:+.6g}, 95 % CI [{low:.6g}, {high:.6g}], {asked.better} is better, margin {margin:.6g}"
@@ -151,10 +151,10 @@ def change(before: Estimate, now: Estimate, statistic: str) -> tuple[float, floa
     if None in (before.value, before.low, before.high, now.value, now.low, now.high):
         return None
     pairs = _pairs(before, now)
-    if pairs and all(one == other for one, other in pairs):
+    if pairs and all(old == new for old, new in pairs):
         return 0.0, 0.0, 0.0
     if len(pairs) > 1 and statistic == "mean":
-        return _of_rates(pairs) if _is_rate(pairs) else _of_pairs([other - one for one, other in pairs])
+        return _of_rates(pairs) if _is_rate(pairs) else _of_pairs([new - old for old, new in pairs])
     return _of_intervals(before, now)
 
 
@@ -187,5 +187,5 @@ def _of_intervals(before: Estimate, now: Estimate) -> tuple[float, float, float]
 
     It is d − √((now − its low)² + (high of before − before)²) to d + √((high of now − now)² + (before − its low)²).
     """
-    first, second = (Interval(one.value or 0.0, one.low or 0.0, one.high or 0.0) for one in (before, now))
+    first, second = (Interval(estimate.value or 0.0, estimate.low or 0.0, estimate.high or 0.0) for estimate in (before, now))
     return square_and_add(first, second)

@@ -51,12 +51,12 @@ class BatchesOfClaims:
         label, _, rest = word.rpartition("=")
         if rest in self._project.config.queries:
             return label or rest, self._of_query(name, query_request.request([rest]))
-        found = self._store.resolve(rest)
-        if self._among is not None and found.id not in self._among:
+        resolved = self._store.resolve(rest)
+        if self._among is not None and resolved.id not in self._among:
             raise NotFound(f"[claims.{name}] batches: {rest!r} is none of the given batches")
-        if found.kind != "batch":
-            raise NotFound(f"[claims.{name}] batches: {rest!r} is the id of another kind ({found.kind})")
-        return label, found.id
+        if resolved.kind != "batch":
+            raise NotFound(f"[claims.{name}] batches: {rest!r} is the id of another kind ({resolved.kind})")
+        return label, resolved.id
 
     def _of_query(self, name: str, request: QueryRequest) -> str:
         if self._among is not None:
@@ -68,13 +68,13 @@ class BatchesOfClaims:
 
     def _of_same_query(self, name: str, request: QueryRequest, among: Sequence[str]) -> str:
         """Return that of the given batches which has the query of a request. Raises NotFound unless there is exactly one."""
-        found = [batch for batch in self._queries.same(request) if batch in among]
-        if len(found) != 1:
+        batches = [batch for batch in self._queries.same(request) if batch in among]
+        if len(batches) != 1:
             text, runs = described(self._project, request)
-            shown = few([short(batch) for batch in found], SHOWN)
-            which = f"several of the given batches ({shown}) have" if found else "none of the given batches has"
+            shown = few([short(batch) for batch in batches], SHOWN)
+            which = f"several of the given batches ({shown}) have" if batches else "none of the given batches has"
             raise NotFound(f"[claims.{name}] {which} its query: {text}, {counted(runs, 'run')} for each experiment")
-        return found[0]
+        return batches[0]
 
 
 def request_of(claim: Claim) -> QueryRequest:

@@ -43,8 +43,8 @@ def trajectories(drawing: Drawing) -> Figure:
         robots = np.array(rows.column("robot").to_pylist())
         x, y = style.column(rows, "x"), style.column(rows, "y")
         for robot in dict.fromkeys(robots.tolist()):
-            place, mine = names.index(robot), robots == robot
-            colour, dashes = known[place % len(known)], style.DASHES[place % len(style.DASHES)]
+            index, mine = names.index(robot), robots == robot
+            colour, dashes = known[index % len(known)], style.DASHES[index % len(style.DASHES)]
             plot.plot(x[mine], y[mine], color=colour, linestyle=dashes, linewidth=0.7, alpha=0.85)
             seen = np.flatnonzero(mine & np.isfinite(x) & np.isfinite(y))
             for at, mark in zip(seen[[0, -1]] if len(seen) else (), "os", strict=False):
@@ -158,7 +158,7 @@ def _maps(
 ) -> tuple[Figure, list[Axes]]:
     figure, panels = facets.experiments(drawing, maps)
     plots = list(panels.values())
-    every = np.concatenate([one.ravel() for one in maps.values()])
+    every = np.concatenate([cells.ravel() for cells in maps.values()])
     every = every[np.isfinite(every)]
     if not len(every):
         raise UsageError("log_y needs values above 0, but there are none")
@@ -181,10 +181,10 @@ def _over_times(drawing: Drawing) -> Drawing:
     table = drawing.rows["cells"]
     if "t" not in table.column_names:
         return drawing
-    times, place = np.unique(style.column(table, "t"), return_inverse=True)
+    times, time_indices = np.unique(style.column(table, "t"), return_inverse=True)
     unit, label = drawing.units.get(drawing.time, ""), drawing.time.replace("_", " ")
     axis = Axis(f"# {drawing.time}", tuple(times.tolist()), label=label, unit=unit)
-    ordinals = numpy_of(table.column("experiment")) * len(times) + place
+    ordinals = numpy_of(table.column("experiment")) * len(times) + time_indices
     cells = {
         ordinal * len(times) + k: {**cell, axis.name: time}
         for ordinal, cell in drawing.cells.items()

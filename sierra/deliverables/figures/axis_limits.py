@@ -60,8 +60,8 @@ def cut(drawing: Drawing) -> Cut | None:
 
 def notes(drawing: Drawing) -> list[str]:
     """Return notes on all centers and intervals that the y axis cannot show."""
-    found = cut(drawing)
-    few = [f"some intervals of n ≤ {found.most} are cut off"] if found else []
+    limits = cut(drawing)
+    few = [f"some intervals of n ≤ {limits.most} are cut off"] if limits else []
     return [*left_out_centers(drawing, ends=True), *few]
 
 
@@ -81,8 +81,8 @@ def left_out_runs(drawing: Drawing) -> list[str]:
 
 def apply(plot: Axes, drawing: Drawing) -> None:
     """Set the y axis to this range."""
-    if found := cut(drawing):
-        plot.set_ylim(found.low, found.high)
+    if limits := cut(drawing):
+        plot.set_ylim(limits.low, limits.high)
 
 
 def _not_above_0(drawing: Drawing, values: style.Floats, spread: Sequence[style.Floats], what: str) -> list[str]:

@@ -140,5 +140,5 @@ def _version(library: str) -> str | None:
 
 def kind_of(figure: Figure) -> FigureKind:
     """Return the kind of a figure, made with its options. Raises ConfigError, PluginError."""
-    made: FigureKind = FIGURES.make(figure.kind, {figure.kind: figure.own})
-    return made
+    kind: FigureKind = FIGURES.make(figure.kind, {figure.kind: figure.own})
+    return kind

@@ -80,8 +80,8 @@ def edges(drawing: Drawing, bins: int) -> Floats:
     low, high = _range(values, "")
     if bins:
         return np.linspace(low, high, bins + 1)
-    found = np.histogram_bin_edges(values, "fd", (low, high))
-    at: Floats = found if len(found) <= MOST_BINS else np.linspace(low, high, MOST_BINS + 1)
+    bin_edges = np.histogram_bin_edges(values, "fd", (low, high))
+    at: Floats = bin_edges if len(bin_edges) <= MOST_BINS else np.linspace(low, high, MOST_BINS + 1)
     return at if len(at) > 2 else np.linspace(low, high, 6)
 
 
@@ -131,7 +131,7 @@ def _frame(drawing: Drawing, within: Panels, looks: list[Look], ylabel: str) -> 
     style.outer_labels(within.plots, value_label(drawing), ylabel)
     counts = [0] * len(within.groups.values)
     for ordinal, values in sampled_runs.values(drawing).items():
-        place = within.group(drawing, ordinal)
-        counts[place] = max(counts[place], len(values))
+        group = within.group(drawing, ordinal)
+        counts[group] = max(counts[group], len(values))
     entries = with_n(style.names(within.groups.values), counts)
     style.legend(within.figure, within.plots, within.groups, entries, style.lines(looks))

@@ -88,7 +88,7 @@ class Drawing:
         """Return all text that may be in the figure."""
         shown = (self.figure.model_dump(exclude_unset=True), self.axes, self.units, self.time, self.note)
         columns = [column for table in self.rows.values() for column in table.columns if str(column.type) == "string"]
-        return "".join(map(str, (*shown, [model.label for model in self.models], *(one.unique() for one in columns))))
+        return "".join(map(str, (*shown, [model.label for model in self.models], *(column.unique() for column in columns))))
 
     @cached_property
     def data(self) -> str:
@@ -107,7 +107,9 @@ class Drawing:
         kinds = {"tables": self.tables, "runs": runs, "rows": self.rows}
         hashes = {kind: {name: data_hash(table) for name, table in named.items()} for kind, named in kinds.items()}
         if self.models or self.failed_models:
-            hashes["models"] = {one.name: data_hash(one.table) for one in self.models} | dict.fromkeys(self.failed_models, "")
+            hashes["models"] = {model.name: data_hash(model.table) for model in self.models} | dict.fromkeys(
+                self.failed_models, ""
+            )
         cells = {str(ordinal): [[name, repr(value)] for name, value in at.items()] for ordinal, at in self.cells.items()}
         return digest("figure data", {**hashes, "cells": cells})
 
@@ -122,7 +124,7 @@ class Drawing:
             "formats": self.formats,
         }
         if self.models or self.failed_models:
-            definition["models"] = {one.name: one.definition for one in self.models} | {
+            definition["models"] = {model.name: model.definition for model in self.models} | {
                 name: {"problem": problem} for name, problem in self.failed_models.items()
             }
         if self.together:

@@ -74,12 +74,12 @@ def panels(drawing: Drawing, *, over_first: bool = True) -> Panels:
         return Panels(figure, (Panel(plot, whole),), first, _joined(grouped, rest), tuple(rest), grouped)
     check(len(facet.values))
     figure, plots = style.panels(len(facet.values))
-    made = []
+    facet_panels = []
     for plot, value in zip(plots, facet.values, strict=True):
         within = [ordinal for ordinal, cell in drawing.cells.items() if cell[facet.name] == value]
-        made.append(Panel(plot, _only(whole, within)))
+        facet_panels.append(Panel(plot, _only(whole, within)))
         style.title(plot, style.point([facet], drawing.cells[within[0]]))
-    return Panels(figure, tuple(made), first, _joined(grouped, rest), tuple(rest), grouped)
+    return Panels(figure, tuple(facet_panels), first, _joined(grouped, rest), tuple(rest), grouped)
 
 
 def unnamed(drawing: Drawing, *, numbers: bool = True, beside: float = 0) -> list[str]:
@@ -93,12 +93,12 @@ def unnamed(drawing: Drawing, *, numbers: bool = True, beside: float = 0) -> lis
 
 def combinations(drawing: Drawing, axes: Sequence[Axis], ordinals: Iterable[int] | None = None) -> list[tuple[Value, ...]]:
     """Return the combinations of values of some variables that experiments (default: all) have, in the order of the values."""
-    found = {_values(drawing, axes, ordinal) for ordinal in (drawing.cells if ordinals is None else ordinals)}
+    present = {_values(drawing, axes, ordinal) for ordinal in (drawing.cells if ordinals is None else ordinals)}
 
     def order(values: tuple[Value, ...]) -> list[int]:
         return [axis.values.index(value) for axis, value in zip(axes, values, strict=True)]
 
-    return sorted(found, key=order) or [()]
+    return sorted(present, key=order) or [()]
 
 
 def multiples(drawing: Drawing, axes: Sequence[Axis], shown: Sequence[tuple[Value, ...]]) -> tuple[Figure, list[Axes]]:

@@ -68,13 +68,13 @@ def others(text: str) -> tuple[list[str], list[str]]:
 @cache
 def _known() -> Mapping[str, frozenset[int]]:
     """Return the characters of each regular font of the machine, by its path."""
-    found = {}
+    characters = {}
     for path in sorted(findSystemFonts()):
         with suppress(OSError, RuntimeError):
             font = get_font(path)
             if font.style_name in REGULAR:
-                found[path] = frozenset(font.get_charmap())
-    return found
+                characters[path] = frozenset(font.get_charmap())
+    return characters
 
 
 def made() -> bytes:

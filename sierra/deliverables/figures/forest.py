@@ -46,8 +46,8 @@ def forest(compared: Compared) -> Figure:
     plot.axvline(0, color="#333333", linewidth=0.8, linestyle=":")
     if (margin := compared.analysis.question.margin) is not None:
         plot.axvspan(-margin, margin, color=style.FAINT, alpha=0.15, linewidth=0)
-    for place, pair in zip(places, pairs, strict=True):
-        _mark(plot, place, pair)
+    for y, pair in zip(places, pairs, strict=True):
+        _mark(plot, y, pair)
     unit = f" [{compared.unit}]" if compared.unit else ""
     plot.set_xlabel(style.wrapped(f"difference of {of_run(compared.measure, compared.column)}{unit}", _width(), 8), loc="right")
     return figure
@@ -69,12 +69,12 @@ def _words(compared: Compared, pair: Pair | Band) -> tuple[str, str]:
     return ", ".join(f"{name.replace('_', ' ')} = {value}" for name, value in values.items()), groups
 
 
-def _mark(plot: Axes, place: float, pair: Pair) -> None:
+def _mark(plot: Axes, y: float, pair: Pair) -> None:
     colour = style.NAMED[0]
     if pair.low is not None and pair.high is not None:
-        plot.plot([pair.low, pair.high], [place, place], color=colour, linewidth=1.2)
+        plot.plot([pair.low, pair.high], [y, y], color=colour, linewidth=1.2)
     face = colour if pair.verdict in FILLED else "white"
-    plot.plot([pair.difference or 0.0], [place], "o", color=colour, markerfacecolor=face, markersize=4)
+    plot.plot([pair.difference or 0.0], [y], "o", color=colour, markerfacecolor=face, markersize=4)
 
 
 def _over_time(compared: Compared) -> Figure:

@@ -162,14 +162,14 @@ FORMATS: Mapping[Format, Writer] = {"png": png, "pdf": pdf, "svg": svg, "html": 
 def named(names: Iterable[str]) -> tuple[Format, ...]:
     """Return the formats of these names. Raises UsageError for an unknown name, or for one that is there twice."""
     known: dict[str, Format] = {name: name for name in FORMATS}
-    found: list[Format] = []
+    formats: list[Format] = []
     for name in names:
         if name not in known:
             raise UsageError(f"unknown format of figures {name!r}; {like(name, list(known), 'known are')}")
-        if name in found:
+        if name in formats:
             raise UsageError(f"format {name!r} is named twice; name each format once")
-        found.append(known[name])
-    return tuple(found)
+        formats.append(known[name])
+    return tuple(formats)
 
 
 def _saved(figure: matplotlib.figure.Figure, ending: str, metadata: Mapping[str, str | None], **more: Any) -> bytes:

@@ -82,8 +82,8 @@ class OutputRows:
         """Return the amount of data that fulfils `where`. Raises SierraError if there is none."""
         (row,) = self.rows("SELECT count(*) AS count FROM data").to_pylist()
         if not row["count"]:
-            those = f"fulfils where = {self.where!r}" if self.where else "belongs to a run of the chosen groups"
-            raise SierraError(f"no row of output {self.name!r} {those}")
+            requirement = f"fulfils where = {self.where!r}" if self.where else "belongs to a run of the chosen groups"
+            raise SierraError(f"no row of output {self.name!r} {requirement}")
         seen = stats.coverage(self.samples(column), several=True)
         return replace(seen, selected=True, accepted=self.data.accepted_beside(self.name))
 

@@ -60,7 +60,7 @@ def _of_facets(drawing: Drawing) -> tuple[Figure, list[Axes], list[style.Floats]
 
 
 def _of_models(drawing: Drawing) -> tuple[Figure, list[Axes], list[style.Floats], tuple[Axis, ...]]:
-    named = [("data", _data(drawing)), *((one.label, models.by_experiment(one)) for one in drawing.models)]
+    named = [("data", _data(drawing)), *((model.label, models.by_experiment(model)) for model in drawing.models)]
     figure, plots = style.maps(len(named), _height(drawing.axes[1]))
     for plot, (name, _) in zip(plots, named, strict=True):
         style.title(plot, name)
@@ -116,14 +116,14 @@ def _paint(figure: Figure, plots: Sequence[Axes], maps: Sequence[style.Floats], 
 def _numbers(plot: Axes, cells: style.Floats, norm: Normalize, *, fits: bool) -> None:
     """Write the numbers into the cells if there is room, and hatch those without a number."""
     fits = fits and cells.shape[0] <= 16
-    for (row, place), value in np.ndenumerate(cells):
+    for (row, column), value in np.ndenumerate(cells):
         if np.isnan(value):
             plot.add_patch(
-                Rectangle((place - 0.5, row - 0.5), 1, 1, facecolor="#F2F2F2", edgecolor="#BBBBBB", hatch="////", linewidth=0)
+                Rectangle((column - 0.5, row - 0.5), 1, 1, facecolor="#F2F2F2", edgecolor="#BBBBBB", hatch="////", linewidth=0)
             )
         elif fits:
             colour = "black" if float(norm(value)) > 0.6 else "white"
-            plot.text(place, row, style.number(value, 3), ha="center", va="center", fontsize=6, color=colour)
+            plot.text(column, row, style.number(value, 3), ha="center", va="center", fontsize=6, color=colour)
 
 
 def _limits(cells: style.Floats) -> tuple[float, float]:

@@ -84,7 +84,9 @@ def over_time(drawing: Drawing) -> list[Chart]:
     panels = []
     for values in timeseries.others(drawing):
         own = [ordinal for ordinal in ordered if timeseries.rest_of(drawing, ordinal) == values]
-        lines = [_Line(*entries[timeseries.value_of(drawing, ordinal)], _some(drawing, slices[ordinal])) for ordinal in own]
+        lines = [
+            _Line(*entries[timeseries.value_of(drawing, ordinal)], _thinned_rows(drawing, slices[ordinal])) for ordinal in own
+        ]
         if lines:
             panels.append(_Panel(style.point(drawing.axes[1:], drawing.cells[own[0]]), lines))
     form: Literal["lines", "points"] = "lines" if any(part.stop - part.start > 1 for part in slices.values()) else "points"
@@ -138,7 +140,7 @@ def _charts(
     table = _table_of(drawing, [row for line in lines for row in line.rows])
     stops = list(accumulate((len(line.rows) for line in lines), initial=0))
     series = iter([_series(line, start, stop) for line, (start, stop) in zip(lines, pairwise(stops), strict=True)])
-    places = {column: place + len(drawing.axes) for place, column in enumerate(_shown(source))}
+    places = {column: index + len(drawing.axes) for index, column in enumerate(_shown(source))}
     center, low, high = (places[column] for column in bands.columns(drawing.figure))
     limits = _limits(drawing, panels=len(panels))
     y = ChartAxis(center, style.value_label(drawing), 10 if drawing.figure.log_y else 0, limits)
@@ -184,7 +186,7 @@ def on_dark(colour: ColorType) -> str:
     """Return a colour, made lighter until it can be seen on the dark background (contrast as in WCAG 2.2)."""
     hue, lightness, saturation = colorsys.rgb_to_hls(*to_rgb(colour))
     lighter = [colour, *(colorsys.hls_to_rgb(hue, step / 20, saturation) for step in range(int(20 * lightness) + 1, 21))]
-    return to_hex(next(one for one in lighter if (_luminance(one) + 0.05) / (_luminance(DARK) + 0.05) >= CONTRAST))
+    return to_hex(next(shade for shade in lighter if (_luminance(shade) + 0.05) / (_luminance(DARK) + 0.05) >= CONTRAST))
 
 
 def _luminance(colour: ColorType) -> float:
@@ -193,15 +195,15 @@ def _luminance(colour: ColorType) -> float:
     return float(np.dot(linear, (0.2126, 0.7152, 0.0722)))
 
 
-def _some(drawing: Drawing, rows: slice) -> list[int]:
+def _thinned_rows(drawing: Drawing, rows: slice) -> list[int]:
     """Return the numbers of the rows of a series in its chart: all, or those of a long series that `thinning` keeps."""
     places = np.arange(rows.start, rows.stop)
     if len(places) > POINTS:
         (table,) = drawing.tables.values()
         t, *lines = (style.column(table, name)[rows] for name in ("t", *bands.columns(drawing.figure)))
         places = places[thinning.kept(t, *lines, log=drawing.figure.log_x)]
-    found: list[int] = places.tolist()
-    return found
+    numbers: list[int] = places.tolist()
+    return numbers
 
 
 def _thinned(charts: Sequence[Chart]) -> list[str]:
@@ -214,8 +216,8 @@ def _limits(drawing: Drawing, *, panels: int) -> tuple[float, float] | None:
     """Return the limits of the values: those that the figure declares, those of its print, or those that panels share."""
     if drawing.figure.ylim:
         return drawing.figure.ylim
-    if found := axis_limits.cut(drawing):
-        return found.low, found.high
+    if limits := axis_limits.cut(drawing):
+        return limits.low, limits.high
     if panels == 1:
         return None
     (table,) = drawing.tables.values()

@@ -34,11 +34,11 @@ def beside(drawing: Drawing, looks: Sequence[Look]) -> list[Look]:
 
 def entries(drawing: Drawing, handles: Sequence[Artist]) -> list[tuple[Artist, str]]:
     """Return the entries of models in a legend; `handles` are those of the data."""
-    found: list[tuple[Artist, str]] = [
+    added: list[tuple[Artist, str]] = [
         (Line2D([], [], color=BLACK, linestyle=dash, linewidth=WIDTH), style.shortened(model.label, 40))
         for model, dash in zip(drawing.models, cycle(DASHES), strict=False)
     ]
-    return [(handles[0], "data"), *found] if found and len(handles) == 1 else found
+    return [(handles[0], "data"), *added] if added and len(handles) == 1 else added
 
 
 def over_time(plot: Axes, drawing: Drawing, ordinal: int, colour: ColorType) -> None:
@@ -98,8 +98,8 @@ def _values(model: Predicted) -> Floats:
 
 
 def _experiments(model: Predicted) -> npt.NDArray[np.int_]:
-    found: npt.NDArray[np.int_] = numpy_of(model.table.column("experiment"))
-    return found
+    ordinals: npt.NDArray[np.int_] = numpy_of(model.table.column("experiment"))
+    return ordinals
 
 
 def _rows(model: Predicted, ordinals: Sequence[int]) -> npt.NDArray[np.int_]:

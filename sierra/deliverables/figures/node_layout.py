@@ -29,7 +29,7 @@ def layout(nodes: Iterable[str], edges: Iterable[tuple[str, str]], name: str) ->
     graph.add_nodes_from(sorted(set(nodes), key=natural))
     graph.add_edges_from(edges)
     if name == "spring":
-        found = networkx.spring_layout(graph, seed=SEED, iterations=200, method="energy")
+        positions = networkx.spring_layout(graph, seed=SEED, iterations=200, method="energy")
     else:
-        found = {"kamada_kawai": networkx.kamada_kawai_layout, "circular": networkx.circular_layout}[name](graph)
-    return {node: (float(x), float(y)) for node, (x, y) in found.items()}
+        positions = {"kamada_kawai": networkx.kamada_kawai_layout, "circular": networkx.circular_layout}[name](graph)
+    return {node: (float(x), float(y)) for node, (x, y) in positions.items()}

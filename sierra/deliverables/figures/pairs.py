@@ -95,12 +95,12 @@ def _equation(kind: str, curve: np.polynomial.Polynomial, u: Floats, center: Flo
 
 def _written(kind: str, factors: Sequence[str], offset: float) -> str:
     """Return the equation with these factors of the powers, from 0 on, of x minus an offset."""
-    place = "ln x" if kind in LOG_X else "x"
+    x = "ln x" if kind in LOG_X else "x"
     if offset:
-        place = f"({place} {'−' if offset > 0 else '+'} {style.number(abs(offset))})"
+        x = f"({x} {'−' if offset > 0 else '+'} {style.number(abs(offset))})"
     first, *others = factors
     terms = (
-        f" {'−' if word[0] == '−' else '+'} {word.lstrip('−')} {place}{power}"
+        f" {'−' if word[0] == '−' else '+'} {word.lstrip('−')} {x}{power}"
         for word, power in zip(others, POWERS, strict=False)
         if word != "0"
     )
@@ -116,9 +116,9 @@ def scatter(drawing: Drawing, fit: str) -> Figure:
     for panel in within.panels:
         series = _series(panel, within, drawing, fit)
         _marks(panel, series, looks, every)
-        for place, (x, y) in series.items():
+        for group, (x, y) in series.items():
             if fit != "none" and (curve := fitted(x, y, fit)):
-                _curve(panel, curve, looks[place])
+                _curve(panel, curve, looks[group])
     _scale(within, drawing)
     frame(drawing, within, looks)
     return within.figure
@@ -127,8 +127,8 @@ def scatter(drawing: Drawing, fit: str) -> Figure:
 def _marks(panel: Panel, series: dict[int, tuple[Floats, Floats]], looks: list[Look], every: int) -> None:
     if not series:
         return
-    kept = {place: sampled_runs.places(len(x), every) for place, (x, _) in series.items()}
-    x, y = (np.concatenate([pair[axis][kept[place]] for place, pair in series.items()]) for axis in (0, 1))
+    kept = {group: sampled_runs.places(len(x), every) for group, (x, _) in series.items()}
+    x, y = (np.concatenate([pair[axis][kept[group]] for group, pair in series.items()]) for axis in (0, 1))
     places = np.repeat(list(kept), [len(some) for some in kept.values()])
     most = max(len(some) for some in kept.values())
     seaborn_plots.marks(panel.plot, x, y, places, looks, size=3.0 if most <= 200 else 1.5)
@@ -196,17 +196,17 @@ def _fits(drawing: Drawing, fit: str) -> list[tuple[str, Fit | None]]:
     names = style.names(within.groups.values)
     series = [f"{style.axis_label(within.groups)} = {name}" if len(names) > 1 else "" for name in names]
     return [
-        (", ".join(filter(None, (panel.plot.get_title(), series[place]))), fitted(x, y, fit))
+        (", ".join(filter(None, (panel.plot.get_title(), series[group]))), fitted(x, y, fit))
         for panel in within.panels
-        for place, (x, y) in _series(panel, within, drawing, fit).items()
+        for group, (x, y) in _series(panel, within, drawing, fit).items()
     ]
 
 
 def _usable(drawing: Drawing, x: Floats, y: Floats, fit: str) -> np.typing.NDArray[np.bool_]:
     above_x = (x > 0) | (not (drawing.figure.log_x or fit in LOG_X))
     above_y = (y > 0) | (not (drawing.figure.log_y or fit in LOG_Y))
-    found: np.typing.NDArray[np.bool_] = above_x & above_y
-    return found
+    usable: np.typing.NDArray[np.bool_] = above_x & above_y
+    return usable
 
 
 def _series(panel: Panel, within: Panels, drawing: Drawing, fit: str) -> dict[int, tuple[Floats, Floats]]:
@@ -215,7 +215,7 @@ def _series(panel: Panel, within: Panels, drawing: Drawing, fit: str) -> dict[in
     x, y = style.column(runs, "value"), style.column(runs, "value_2")
     good = _usable(drawing, x, y, fit)
     places = np.array([within.group(panel.drawing, ordinal) for ordinal in runs.column("experiment").to_pylist()], dtype=int)
-    return {int(place): (x[good & (places == place)], y[good & (places == place)]) for place in np.unique(places[good])}
+    return {int(group): (x[good & (places == group)], y[good & (places == group)]) for group in np.unique(places[good])}
 
 
 def frame(drawing: Drawing, within: Panels, looks: list[Look]) -> None:

@@ -47,7 +47,7 @@ def of_rows(drawn: DrawnBy) -> DrawnBy:
     def notes(drawing: Drawing) -> list[str]:
         rows, of = drawing.rows["rows"].num_rows, drawing.rows["all"].column("count")[0].as_py()
         lost = [f"{of - rows} rows without a value left out"] if rows < of else []
-        return [counted(rows, "row"), *lost, *(note for one in drawn.notes for note in one(as_runs(drawing)))]
+        return [counted(rows, "row"), *lost, *(note for notes_of in drawn.notes for note in notes_of(as_runs(drawing)))]
 
     return DrawnBy(lambda drawing: drawn.draw(as_runs(drawing)), (notes,))
 
@@ -72,10 +72,10 @@ def table(drawing: Drawing) -> pa.Table:
 def values(drawing: Drawing) -> dict[int, Floats]:
     """Return the values of all runs by experiment, in ascending order; experiments without a value are not in it."""
     runs = table(drawing)
-    ordinals, found = numpy_of(runs.column("experiment")), style.column(runs, "value")
-    order = np.lexsort((found, ordinals))
+    ordinals, numbers = numpy_of(runs.column("experiment")), style.column(runs, "value")
+    order = np.lexsort((numbers, ordinals))
     known, begins = np.unique(ordinals[order], return_index=True)
-    return dict(zip(known.tolist(), np.split(found[order], begins[1:]), strict=True))
+    return dict(zip(known.tolist(), np.split(numbers[order], begins[1:]), strict=True))
 
 
 def step(drawing: Drawing) -> int:

@@ -72,22 +72,24 @@ class _Content:
             (within.place(drawing, row["experiment"]), within.group(drawing, row["experiment"]), len(some))
             for row, some in zip(self.rows, chosen, strict=True)
         ]
-        place, group, count = np.array(each, dtype=int).reshape(-1, 3).T
-        return Grouped(np.repeat(place, count), np.repeat(group, count), np.concatenate([np.empty(0), *chosen]))
+        x, group, count = np.array(each, dtype=int).reshape(-1, 3).T
+        return Grouped(np.repeat(x, count), np.repeat(group, count), np.concatenate([np.empty(0), *chosen]))
 
 
 def _figure(drawing: Drawing, paint: Callable[[_Content, Drawing], None]) -> Figure:
     within = facets.panels(drawing)
     every, runs = sampled_runs.step(drawing), sampled_runs.values(drawing)
-    shown = {ordinal: style.drawable(found[sampled_runs.places(len(found), every)], drawing) for ordinal, found in runs.items()}
-    shown = {ordinal: found[np.isfinite(found)] for ordinal, found in shown.items()}
+    shown = {
+        ordinal: style.drawable(numbers[sampled_runs.places(len(numbers), every)], drawing) for ordinal, numbers in runs.items()
+    }
+    shown = {ordinal: numbers[np.isfinite(numbers)] for ordinal, numbers in shown.items()}
     for panel in within.panels:
         content = _Content(panel, within, shown)
         if content.rows:
             paint(content, drawing)
         for row in content.never:
-            place, group = content.at(row)
-            summary.never(panel.plot, [place], content.colours[group])
+            x, group = content.at(row)
+            summary.never(panel.plot, [x], content.colours[group])
         summary.marks_of_models(panel, within, len(content.colours))
         style.side_by_side(panel.plot, within.first)
     values = np.concatenate(list(runs.values()))
@@ -133,7 +135,9 @@ def _violins(content: _Content, drawing: Drawing) -> None:
         plot.set_yscale("log")
     dense = content.grouped(lambda row, runs: runs if has_density(runs) else runs[:0])
     seaborn_plots.violins(content.side, dense)
-    _hatch(content, [one for one in plot.collections if isinstance(one, PolyCollection)], seaborn_plots.VIOLIN)
+    _hatch(
+        content, [collection for collection in plot.collections if isinstance(collection, PolyCollection)], seaborn_plots.VIOLIN
+    )
     dots = content.grouped(lambda row, runs: runs)
     seaborn_plots.dots(content.side, dots, size=1.6, jitter=JITTER * 0.6)
     for row in content.rows:

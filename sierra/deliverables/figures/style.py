@@ -242,15 +242,15 @@ def grid(places: Sequence[int], columns: int) -> tuple[Figure, list[Axes]]:
     rows = 1 + max(places) // columns
     figure = blank(COLUMN if columns <= 2 else PAGE, 1.0 + rows * (1.3 if columns <= 2 else 1.5))
     every: list[Axes] = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel().tolist()
-    for place, plot in enumerate(every):
-        if place not in places:
+    for index, plot in enumerate(every):
+        if index not in places:
             plot.remove()
             continue
-        if place + columns not in places:
+        if index + columns not in places:
             plot.xaxis.set_tick_params(labelbottom=True)
-        if place % columns == 0 or place - 1 not in places:
+        if index % columns == 0 or index - 1 not in places:
             plot.yaxis.set_tick_params(labelleft=True)
-    return figure, [every[place] for place in places]
+    return figure, [every[index] for index in places]
 
 
 def outer_labels(plots: Sequence[Axes], xlabel: str, ylabel: str) -> None:
@@ -258,9 +258,9 @@ def outer_labels(plots: Sequence[Axes], xlabel: str, ylabel: str) -> None:
     first: dict[int, Axes] = {}
     last: dict[int, Axes] = {}
     for plot in plots:
-        _, place = _panel(plot)
-        last[place.colspan.start] = plot
-        first.setdefault(place.rowspan.start, plot)
+        _, spec = _panel(plot)
+        last[spec.colspan.start] = plot
+        first.setdefault(spec.rowspan.start, plot)
     several = len(plots) > 1
     for plot in first.values():
         plot.set_ylabel(wrapped(ylabel, _room(plot)[1], 8, 2) if several else shortened(ylabel, 48))
@@ -270,17 +270,17 @@ def outer_labels(plots: Sequence[Axes], xlabel: str, ylabel: str) -> None:
 
 def _room(plot: Axes, beside: float = 0) -> tuple[float, float]:
     """Return the width of a panel, and its height with its title and ticks, in inches. `beside`: width of a colour bar."""
-    figure, place = _panel(plot)
-    grid = place.get_gridspec()
+    figure, spec = _panel(plot)
+    grid = spec.get_gridspec()
     return (figure.get_figwidth() - MARGIN - beside) / grid.ncols - 0.1, figure.get_figheight() / grid.nrows - 0.1
 
 
 def _panel(plot: Axes) -> tuple[Figure, SubplotSpec]:
     """Return the figure of a panel, and its place in the grid of panels."""
-    figure, place = plot.get_figure(root=True), plot.get_subplotspec()
-    if figure is None or place is None:
+    figure, spec = plot.get_figure(root=True), plot.get_subplotspec()
+    if figure is None or spec is None:
         raise TypeError("these axes are not a panel of a figure")
-    return figure, place
+    return figure, spec
 
 
 def title(plot: Axes, text: str) -> None:
@@ -296,8 +296,8 @@ def title(plot: Axes, text: str) -> None:
 def strips(plots: Sequence[Axes], above: Sequence[str], beside: Sequence[str]) -> None:
     """Write above each column of panels, and beside each row, what its panels share. The texts are given for each panel."""
     places = list(enumerate(_panel(plot)[1] for plot in plots))
-    tops = {place.colspan.start: k for k, place in sorted(places, key=lambda of: -of[1].rowspan.start)}
-    ends = {place.rowspan.start: k for k, place in sorted(places, key=lambda of: of[1].colspan.start)}
+    tops = {spec.colspan.start: k for k, spec in sorted(places, key=lambda of: -of[1].rowspan.start)}
+    ends = {spec.rowspan.start: k for k, spec in sorted(places, key=lambda of: of[1].colspan.start)}
     for k, plot in enumerate(plots):
         title(plot, above[k] if k in tops.values() else "")
     for k in ends.values():
@@ -311,9 +311,9 @@ def _unbroken(text: str, width: float) -> str:
     return wrapped(text.replace(" = ", "\xa0=\xa0"), width, 7, 8).replace("\xa0", " ")
 
 
-def _letter(place: int) -> str:
+def _letter(index: int) -> str:
     """Return a, b, …, z, aa, ab, … for 0, 1, …"""
-    return (_letter(place // 26 - 1) if place >= 26 else "") + "abcdefghijklmnopqrstuvwxyz"[place % 26]
+    return (_letter(index // 26 - 1) if index >= 26 else "") + "abcdefghijklmnopqrstuvwxyz"[index % 26]
 
 
 def settle(figure: Figure, drawing: Drawing) -> None:
@@ -388,8 +388,8 @@ def _titles(figure: Figure) -> float:
     """Return the height in inches of the second and later lines of the panels' titles."""
     lines: dict[int, int] = {}
     for plot in figure.axes:
-        if place := plot.get_subplotspec():
-            row = place.rowspan.start
+        if spec := plot.get_subplotspec():
+            row = spec.rowspan.start
             lines[row] = max(lines.get(row, 0), plot.title.get_text().count("\n"))
     return 0.11 * sum(lines.values())
 
@@ -419,13 +419,13 @@ def _in_engineering_units(figure: Figure) -> None:
     """Write the ticks of very small and very large values with the prefixes of their unit: 250 µs instead of 0.00025 s."""
     for axis in (axis for plot in figure.axes for axis in (plot.xaxis, plot.yaxis)):
         text = axis.label.get_text()
-        found = re.fullmatch(r"(.*)\s\[(\w+)\]", text, re.DOTALL)
+        match = re.fullmatch(r"(.*)\s\[(\w+)\]", text, re.DOTALL)
         largest = float(np.abs(axis.get_view_interval()).max())
         plain = type(axis.get_major_formatter()) in (ScalarFormatter, EngFormatter)  # panels may share theirs
-        is_far = largest < 0.01 or (largest >= 1e4 and found is not None and found[2] != "s")  # nobody says kiloseconds
-        if found and found[2] in BASE and plain and is_far:
-            axis.set_major_formatter(EngFormatter(found[2], sep="\N{NO-BREAK SPACE}"))
-            axis.label.set_text(found[1])
+        is_far = largest < 0.01 or (largest >= 1e4 and match is not None and match[2] != "s")  # nobody says kiloseconds
+        if match and match[2] in BASE and plain and is_far:
+            axis.set_major_formatter(EngFormatter(match[2], sep="\N{NO-BREAK SPACE}"))
+            axis.label.set_text(match[1])
 
 
 def label(name: str, unit: str = "", *, given: str = "") -> str:
@@ -471,12 +471,12 @@ def number(value: float, digits: int = 6) -> str:
 
 def names(values: Sequence[Value], limit: int = 28) -> list[str]:
     """Return the values of an axis as ticks or entries in a legend: short, but as long as it takes to tell them apart."""
-    found: list[str] = []
+    texts: list[str] = []
     for longer in range(12):
-        found = [named(value, limit + 8 * longer, 6 + longer) for value in values]
-        if len(set(found)) == len(set(values)):
+        texts = [named(value, limit + 8 * longer, 6 + longer) for value in values]
+        if len(set(texts)) == len(set(values)):
             break
-    return found
+    return texts
 
 
 def named(value: Value, limit: int = 28, digits: int = 6) -> str:
@@ -619,8 +619,8 @@ def place_legend(figure: Figure, handles: Sequence[Artist], entries: Sequence[st
         columns = len(entries)
     rows = -(-len(entries) // columns)
     beside = chosen().legend == "right"
-    place: Literal["outside right upper", "upper center"] = "outside right upper" if beside else "upper center"
-    legend = figure.legend(handles, entries, loc=place, ncols=1 if beside else -(-len(entries) // rows), title=title or None)
+    location: Literal["outside right upper", "upper center"] = "outside right upper" if beside else "upper center"
+    legend = figure.legend(handles, entries, loc=location, ncols=1 if beside else -(-len(entries) // rows), title=title or None)
     legend.set_in_layout(beside)
 
 
@@ -724,9 +724,9 @@ def side_by_side(plot: Axes, axis: Axis, beside: float = 0) -> None:
     words, width = names(axis.values, 22), _room(plot, beside)[0]
     plot.set_xlim(-0.6, len(words) - 0.4)
     shown, size = readable(len(words), width)
-    place, widest = width / len(words), max(inches(words[k], size) for k in shown)
-    turned = widest + 0.06 > place * (shown[1] if len(shown) > 1 else 1)
-    angle = (90 if place < 0.2 or plot.title.get_text() else 35) if turned else 0
+    spacing, widest = width / len(words), max(inches(words[k], size) for k in shown)
+    turned = widest + 0.06 > spacing * (shown[1] if len(shown) > 1 else 1)
+    angle = (90 if spacing < 0.2 or plot.title.get_text() else 35) if turned else 0
     plot.set_xticks(shown, [words[k] for k in shown], rotation=angle, fontsize=size)
     if angle == 35:
         for label in plot.get_xticklabels():

@@ -60,27 +60,27 @@ def _points(panel: Panel, within: Panels, looks: Sequence[Look], shifts: Sequenc
     low, high = (style.column(table, name) for name in names[1:])
     ordinals = table.column("experiment").to_pylist()
     groups = np.array([within.group(drawing, ordinal) for ordinal in ordinals], dtype=int)
-    for place, look in enumerate(looks):
-        rows = np.flatnonzero(groups == place)
-        x = _places(drawing, first, [ordinals[k] for k in rows], place, len(looks))
+    for group, look in enumerate(looks):
+        rows = np.flatnonzero(groups == group)
+        x = _places(drawing, first, [ordinals[k] for k in rows], group, len(looks))
         censored = style.column(table, "never")[rows] > 0
         artists = _interval(panel.plot, x, center[rows], low[rows], high[rows], look, joined=first.numeric)
         hollow = look | Look(linestyle="none")
         artists += panel.plot.plot(x[censored], center[rows][censored], **hollow, markerfacecolor="white", zorder=3)
         artists += never(panel.plot, x[censored & (style.column(table, "n")[rows] == 0)], look["color"])
-        artists += _models(panel, within, place, look["color"] if len(looks) > 1 else models.BLACK, len(looks))
+        artists += _models(panel, within, group, look["color"] if len(looks) > 1 else models.BLACK, len(looks))
         if first.numeric:
-            _shift(artists, shifts[place])
+            _shift(artists, shifts[group])
 
 
-def _models(panel: Panel, within: Panels, place: int, colour: ColorType, count: int) -> list[Artist]:
+def _models(panel: Panel, within: Panels, group: int, colour: ColorType, count: int) -> list[Artist]:
     """Draw the models of one group: lines over numbers, marks at names."""
     drawing, first = panel.drawing, within.first
-    ordinals = [ordinal for ordinal in drawing.cells if within.group(drawing, ordinal) == place]
+    ordinals = [ordinal for ordinal in drawing.cells if within.group(drawing, ordinal) == group]
     if first.numeric:
-        places = partial(_places, drawing, first, place=place, count=count)
+        places = partial(_places, drawing, first, group=group, count=count)
         return models.over_numbers(panel.plot, drawing, ordinals, places, colour)
-    for ordinal, x in zip(ordinals, _places(drawing, first, ordinals, place, count), strict=True):
+    for ordinal, x in zip(ordinals, _places(drawing, first, ordinals, group, count), strict=True):
         models.at(panel.plot, drawing, ordinal, float(x), 0.8 / count, colour)
     return []
 
@@ -105,13 +105,13 @@ def _bars(panel: Panel, within: Panels, groups: Sequence[Group]) -> None:
     center, low, high = (style.column(table, name) for name in bands.columns(panel.drawing.figure))
     count = len(groups)
     for k, ordinal in enumerate(table.column("experiment").to_pylist()):
-        place = within.group(panel.drawing, ordinal)
-        x = within.place(panel.drawing, ordinal) + dodge(place, count)
+        group = within.group(panel.drawing, ordinal)
+        x = within.place(panel.drawing, ordinal) + dodge(group, count)
         if not np.isfinite(center[k]):
             if "never" in table.column_names and table.column("never")[k].as_py():
-                never(panel.plot, [x], groups[place].colour)
+                never(panel.plot, [x], groups[group].colour)
             continue
-        panel.plot.bar(x, center[k], 0.8 / count, **groups[place].face(0.55))
+        panel.plot.bar(x, center[k], 0.8 / count, **groups[group].face(0.55))
         if np.isfinite(low[k]) and np.isfinite(high[k]):
             style.interval(panel.plot, [x], low[[k]], high[[k]], color="#333333", linewidth=0.8, cap=min(2, 8 / count))
     marks_of_models(panel, within, count)
@@ -139,8 +139,8 @@ def looks_of_groups(within: Panels) -> list[Group]:
         return [Group(style.named_colours()[0], "", "o")]
     kinds = len(style.HATCHES)
     return [
-        Group(colour, style.HATCHES[place % kinds], style.MARKERS[place % kinds])
-        for place, colour in enumerate(style.colours(within.groups))
+        Group(colour, style.HATCHES[index % kinds], style.MARKERS[index % kinds])
+        for index, colour in enumerate(style.colours(within.groups))
     ]
 
 
@@ -171,17 +171,17 @@ def never(plot: Axes, x: Sequence[float] | Floats, colour: ColorType) -> Sequenc
     return plot.plot(x, ones, **marks, markersize=4, markerfacecolor="white", transform=upper_edge, clip_on=False, zorder=4)
 
 
-def _places(drawing: Drawing, first: Axis, ordinals: list[int], place: int, count: int) -> Floats:
+def _places(drawing: Drawing, first: Axis, ordinals: list[int], group: int, count: int) -> Floats:
     values = [value_of(drawing, ordinal) for ordinal in ordinals]
     if first.numeric:
         return np.array(values, dtype=float)
-    return np.array([first.values.index(value) + dodge(place, count) for value in values])
+    return np.array([first.values.index(value) + dodge(group, count) for value in values])
 
 
 def _shifts(first: Axis, count: int) -> list[float]:
     """Return the shift of each group in points: to both sides of a number, but never below 0."""
     apart = min(APART, WIDEST / count)
-    return [(place - (0 if 0 in first.values else (count - 1) / 2)) * apart for place in range(count)]
+    return [(group - (0 if 0 in first.values else (count - 1) / 2)) * apart for group in range(count)]
 
 
 def _shift(artists: Sequence[Artist], points: float) -> None:
@@ -190,8 +190,8 @@ def _shift(artists: Sequence[Artist], points: float) -> None:
         artist.set_transform(artist.get_transform() + ScaledTranslation(points / 72, 0, artist.figure.dpi_scale_trans))
 
 
-def dodge(place: int, count: int) -> float:
-    return (place - (count - 1) / 2) * 0.8 / count
+def dodge(group: int, count: int) -> float:
+    return (group - (count - 1) / 2) * 0.8 / count
 
 
 def frame(drawing: Drawing, within: Panels, handles: Sequence[Artist], lowest: float, highest: float) -> None:
@@ -204,7 +204,7 @@ def frame(drawing: Drawing, within: Panels, handles: Sequence[Artist], lowest: f
     counts = [0] * len(within.groups.values)
     whole = replace(drawing, axes=within.panels[0].drawing.axes)
     for ordinal, n in zip(table.column("experiment").to_pylist(), table.column("n").to_pylist(), strict=True):
-        place = within.group(whole, ordinal)
-        counts[place] = max(counts[place], n)
+        group = within.group(whole, ordinal)
+        counts[group] = max(counts[group], n)
     entries = with_n(style.names(within.groups.values), counts)
     style.legend(within.figure, within.plots, within.groups, entries, handles, models.entries(drawing, handles))

@@ -32,18 +32,18 @@ def kept(t: Floats, *lines: Floats, log: bool | None = False) -> slice | Indices
     part = np.minimum((x - x[0]) / (x[-1] - x[0]) * PARTS, PARTS - 1).astype(int)
     starts = np.flatnonzero(np.diff(part, prepend=-1))
     ends = np.append(starts[1:], len(t)) - 1
-    found = [starts, ends]
+    indices = [starts, ends]
     for values in lines:
         missing = ~np.isfinite(values)
         low, high = np.where(missing, np.inf, values), np.where(missing, -np.inf, values)
         lowest, highest = np.minimum.reduceat(low, starts), np.maximum.reduceat(high, starts)
         sizes = ends - starts + 1
-        found += [
+        indices += [
             _firsts(low == np.repeat(lowest, sizes), part),
             _lasts(high == np.repeat(highest, sizes), part),
             _firsts(missing, part),
         ]
-    return np.unique(np.concatenate(found))
+    return np.unique(np.concatenate(indices))
 
 
 def notes(drawing: Drawing) -> list[str]:

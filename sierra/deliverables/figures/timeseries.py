@@ -44,8 +44,8 @@ def timeseries(drawing: Drawing) -> Figure:
         plot = plots[rest.index(rest_of(drawing, ordinal))]
         _line(plot, drawing, table.slice(rows.start, rows.stop - rows.start), look[value])
         models.over_time(plot, drawing, ordinal, look[value]["color"] if len(looks) > 1 else models.BLACK)
-        place = first.values.index(value)
-        highest[place] = max(highest[place], int(np.max(numpy_of(table.column("n"))[rows])))
+        index = first.values.index(value)
+        highest[index] = max(highest[index], int(np.max(numpy_of(table.column("n"))[rows])))
     center = style.column(table, bands.columns(drawing.figure)[0])
     for plot in plots:
         style.scale_y(plot, drawing, *style.span(center))
@@ -65,8 +65,8 @@ def stacked(drawing: Drawing) -> Figure:
         raise UsageError("stacked areas need values of at least 0; draw lines instead")
     units = {name: drawing.units.get(name, "") for name in drawing.tables}
     if len(set(units.values())) > 1:
-        found = ", ".join(f"{name} [{unit}]" if unit else f"{name} (no unit)" for name, unit in units.items())
-        raise UsageError(f"only columns with the same unit can be stacked, not {found}; see units in [outputs]")
+        columns = ", ".join(f"{name} [{unit}]" if unit else f"{name} (no unit)" for name, unit in units.items())
+        raise UsageError(f"only columns with the same unit can be stacked, not {columns}; see units in [outputs]")
     if "t" in next(iter(drawing.tables.values())).column_names:
         return _stacked_over_time(drawing, center)
     return _stacked_over_axis(drawing, center)
@@ -130,7 +130,7 @@ def _line(plot: Axes, drawing: Drawing, table: pa.Table, look: Look) -> None:
 
 def _stacked_over_time(drawing: Drawing, center: str) -> Figure:
     slices = {name: by_experiment(table) for name, table in drawing.tables.items()}
-    ordinals = sorted(set.intersection(*(set(found) for found in slices.values())))
+    ordinals = sorted(set.intersection(*(set(by_ordinal) for by_ordinal in slices.values())))
     figure, plots = facets.experiments(drawing, ordinals)
     for ordinal, plot in plots.items():
         rows = [

@@ -22,7 +22,7 @@ class ChartAxis:
     """The base of a logarithmic axis; 0 for a linear one."""
     limits: tuple[float, float] | None = None
     ticks: tuple[float, ...] = ()
-    """Where ticks are; default: at round numbers."""
+    """The positions of the ticks; default: round numbers."""
     names: tuple[Cell, ...] = ()
     """The values of an axis of names, which are side by side; empty for an axis of numbers."""
 
@@ -58,22 +58,22 @@ class Chart:
     """The column of the numbers of runs that have no value, because they never reached a threshold."""
     form: Literal["lines", "points"] = "lines"
     joined: bool = True
-    """Whether points are joined by lines."""
+    """True if lines join the points."""
 
 
-def chart_element(chart: Chart, place: int, heading: str = "h3") -> Markup:
-    """Return the place of a chart; `place` is its number in the section."""
+def chart_element(chart: Chart, index: int, heading: str = "h3") -> Markup:
+    """Return the element that a chart is drawn in; `index` is its number in the section."""
     about = f"{chart.title or chart.y.label}: {chart.y.label} over {chart.x.label}, {len(chart.series)} series. "
     keys = "Arrow keys move the cursor, + and - zoom, 0 shows everything."
     title = element(heading, chart.title, dir="auto") if chart.title else None
     plot = element("div", class_="plot", tabindex=0, role="group", aria_label=about + keys)
-    return element("div", title, plot, class_="chart", data_chart=place)
+    return element("div", title, plot, class_="chart", data_chart=index)
 
 
 def as_data(chart: Chart, tables: Sequence[Table]) -> Data:
     """Return the chart as data for scripts; `tables` are those of its section, one of which is its own."""
     return {
-        "table": next(place for place, table in enumerate(tables) if table is chart.table),
+        "table": next(index for index, table in enumerate(tables) if table is chart.table),
         "x": _axis(chart.x),
         "y": _axis(chart.y),
         "group": chart.group,
@@ -84,9 +84,9 @@ def as_data(chart: Chart, tables: Sequence[Table]) -> Data:
     }
 
 
-def _series(one: Series) -> Data:
-    colours = (one.colour, one.dark or one.colour)
-    return {"name": one.name, "colours": colours, "dashes": one.dashes, "rows": (one.start, one.stop)}
+def _series(series: Series) -> Data:
+    colours = (series.colour, series.dark or series.colour)
+    return {"name": series.name, "colours": colours, "dashes": series.dashes, "rows": (series.start, series.stop)}
 
 
 def _axis(axis: ChartAxis) -> Data:

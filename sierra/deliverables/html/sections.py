@@ -40,10 +40,10 @@ def _lines(content: SectionContent) -> Iterator[Markup]:
         yield element("p", image, class_="picture")
     if content.charts:
         yield element("noscript", element("p", "The charts need JavaScript. Their numbers are below."))
-        shown = (chart_element(chart, place) for place, chart in enumerate(content.charts))
+        shown = (chart_element(chart, index) for index, chart in enumerate(content.charts))
         yield element("div", joined(("", *shown, ""), "\n"), class_="charts")
     yield from (element("p", note, class_="note", dir="auto") for note in content.notes)
-    yield from (table_element(table, place) for place, table in enumerate(content.tables))
+    yield from (table_element(table, index) for index, table in enumerate(content.tables))
     if content.sql or content.origin:
         yield _origin(content)
     yield data_element(content)
@@ -64,8 +64,8 @@ def _origin(content: SectionContent) -> Markup:
 
 def data_element(content: SectionContent) -> Markup:
     """Return the tables and charts as an element with data for scripts."""
-    found: Data = {
+    payload: Data = {
         "tables": [tables.as_data(table) for table in content.tables],
         "charts": [charts.as_data(chart, content.tables) for chart in content.charts],
     }
-    return element("script", Markup(data(found)), type="application/json")
+    return element("script", Markup(data(payload)), type="application/json")

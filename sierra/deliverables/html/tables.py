@@ -30,7 +30,7 @@ class Table:
     headers: tuple[str, ...]
     columns: tuple[Sequence[Cell], ...]
     note: str = ""
-    """What the table lacks."""
+    """A note on values that the table lacks."""
 
     @property
     def rows(self) -> int:
@@ -49,15 +49,15 @@ def _cell(value: object) -> Cell:
     return value if value is None or isinstance(value, str | int | float) else str(value)
 
 
-def table_element(table: Table, place: int) -> Markup:
-    """Return a table with a button that copies it; `place` is its number in the section."""
+def table_element(table: Table, index: int) -> Markup:
+    """Return a table with a button that copies it; `index` is its number in the section."""
     shown = f"the first {SHOWN} of {table.rows:,} rows are shown, the CSV has all" if table.rows > SHOWN else ""
     note = "; ".join(filter(None, (table.note, shown)))
     digits = [digits_apart(column[:SHOWN]) for column in table.columns]
     rows = (element("tr", *map(_cell_element, row, digits)) for row in zip(*(c[:SHOWN] for c in table.columns), strict=True))
     head = element("thead", element("tr", *map(_head_element, table.headers, table.columns)))
     inner = element("table", joined(("", head, element("tbody", joined(("", *rows, ""), "\n"))), "\n"))
-    button = element("button", "Copy as CSV", type="button", data_csv=place)
+    button = element("button", "Copy as CSV", type="button", data_csv=index)
     lines = (
         element("summary", f"Data: {table.name}" if table.name else "Data"),
         element("p", button, " ", element("span", role="status"), f" {note}"),

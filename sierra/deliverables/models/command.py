@@ -43,15 +43,15 @@ SHOWN = 200
 
 
 def predict(
-    model: Model, project: LoadedProject, store: Store, frame: BatchData, place: str
+    model: Model, project: LoadedProject, store: Store, frame: BatchData, origin: str
 ) -> tuple[Mapping[str, Sequence[object]], Mapping[str, JsonView]]:
     """Return the table that a model's program prints, by column, and what it was made from, with hashes.
 
-    `place` names the model in messages. Raises SierraError, in one line, if the program cannot be started, fails, prints
+    `origin` names the model in messages. Raises SierraError, in one line, if the program cannot be started, fails, prints
     too much or no table, or does not end in time.
     """
     words = commands.checked(
-        model.command, project.root, place, KNOWN, contained=False, made=(), declared=Declared(), project=None
+        model.command, project.root, origin, KNOWN, contained=False, made=(), declared=Declared(), project=None
     )
     named = referenced_files.files(words, project.root, (), project=project.root)
     inputs = frame.first_inputs()
@@ -61,7 +61,7 @@ def predict(
         printed = _printed(filled, _variables(project, folder), folder, model.wall)
         facts: dict[str, JsonView] = {
             "command": list(model.command),
-            "files": {one.name: one.sha256 for one in named.all},
+            "files": {program_file.name: program_file.sha256 for program_file in named.all},
             "experiments": sha256(table),
             "inputs": digest("inputs of a model", {str(k): [list(file) for file in files] for k, files in inputs.items()}),
             "printed": sha256(printed),

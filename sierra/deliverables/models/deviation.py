@@ -1,4 +1,4 @@
-"""How far a model is from the data: deviations are the model's value minus the data's center, at each compared point.
+"""Deviations of a model from the data: the model's value minus the data's center, at each compared point.
 
 A point is an experiment, or an experiment at one time. With the deviations d₁ … d_k of k points:
 

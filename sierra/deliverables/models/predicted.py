@@ -32,7 +32,7 @@ class Predicted:
     text: str
     """Its statement, expression or command, as SQL or as a comment of SQL."""
     facts: Mapping[str, JsonView] = field(default_factory=dict)
-    """Where it comes from."""
+    """The facts about its origin, for the record of figures."""
     deviation: Deviation | None = None
     """None if no point of it can be compared with the data."""
     lacking: Mapping[str, int] = field(default_factory=dict)
@@ -52,11 +52,13 @@ class Predicted:
     @property
     def summary(self) -> str:
         """Return its deviation from the data in words."""
-        if (found := self.deviation) is None:
+        if (deviation := self.deviation) is None:
             return "no point in common with the data"
-        parts = [f"RMSE {number(found.rmse)}", f"bias {number(found.bias)}", f"largest {number(found.largest)}"]
-        parts += [f"in {found.inside} of {counted(found.intervals, 'interval')}"] if found.intervals else []
-        parts += [f"at {found.compared} of {self.points} times"] if self.over_time and found.compared < self.points else []
+        parts = [f"RMSE {number(deviation.rmse)}", f"bias {number(deviation.bias)}", f"largest {number(deviation.largest)}"]
+        parts += [f"in {deviation.inside} of {counted(deviation.intervals, 'interval')}"] if deviation.intervals else []
+        parts += (
+            [f"at {deviation.compared} of {self.points} times"] if self.over_time and deviation.compared < self.points else []
+        )
         return ", ".join(parts)
 
     @property

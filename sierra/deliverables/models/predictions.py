@@ -32,7 +32,7 @@ class NotVaried(SierraError):
 
 
 class Prediction(Protocol):
-    """What one model predicts for one batch."""
+    """The predictions of one model for one batch."""
 
     @property
     def over_time(self) -> bool:
@@ -44,7 +44,7 @@ class Prediction(Protocol):
 
     @property
     def facts(self) -> Mapping[str, JsonView]:
-        """Where it comes from, for the record of figures."""
+        """The facts about its origin, for the record of figures."""
 
     def times(self, ordinal: int, known: Sequence[float]) -> Sequence[float]:
         """Return the times of its values for an experiment; `known` has those of the data."""
@@ -124,7 +124,7 @@ class Listed:
     def value(self, ordinal: int, time: float | None) -> float:
         rows = self.rows.get(ordinal, {})
         if time not in rows and time is not None:
-            time = next((one for one in rows if one is not None and math.isclose(one, time, rel_tol=CLOSE)), time)
+            time = next((known for known in rows if known is not None and math.isclose(known, time, rel_tol=CLOSE)), time)
         if time not in rows:
             raise NoValue("no row" if time is None or not rows else "no row at the time at which runs end")
         if not math.isfinite(rows[time]):
@@ -196,13 +196,13 @@ def _check_varied(names: Iterable[str], declared: Iterable[str]) -> None:
 
 def _floats(table: Mapping[str, Sequence[object]], name: str) -> list[float]:
     """Return a column as numbers; a missing value is NaN. Raises UsageError for a text that is no number."""
-    found = []
+    numbers = []
     for value in table[name]:
         try:
-            found.append(math.nan if value is None or value == "" else float(value))  # type: ignore[arg-type]
+            numbers.append(math.nan if value is None or value == "" else float(value))  # type: ignore[arg-type]
         except (TypeError, ValueError, OverflowError):
             raise UsageError(f"its column {name!r} has {str(value)[:40]!r}, which is no number") from None
-    return found
+    return numbers
 
 
 def _matched(column: Sequence[object], values: Sequence[Value]) -> list[Value | None]:

@@ -67,7 +67,7 @@ def queries(config: Project) -> list[str]:
     """Return the queries that deliverables are bound to, as they are declared; each once."""
     words = [word for figure in config.figures.values() for word in figure.query]
     words += [word for table in config.paper_tables.values() for word in table.query]
-    words += [word for one in kinds.bound(config) for word in one.query]
+    words += [word for deliverable in kinds.bound(config) for word in deliverable.query]
     words += [word for some in comparisons(config).values() for word in some]
     words += [word for number in config.numbers.values() for word in number.query]
     return list(dict.fromkeys(words))
@@ -75,11 +75,11 @@ def queries(config: Project) -> list[str]:
 
 def requests(config: Project) -> list[QueryRequest]:
     """Return the requests of all queries of a paper, also of the claims whose numbers it has; each once."""
-    found = [labelled(config, word)[1] for word in queries(config)]
+    requested = [labelled(config, word)[1] for word in queries(config)]
     for number in config.numbers.values():
         if claim := config.claims.get(number.claim):
-            found += rests_on.requests(claim, config)
-    return list(dict.fromkeys(found))
+            requested += rests_on.requests(claim, config)
+    return list(dict.fromkeys(requested))
 
 
 def comparisons(config: Project) -> dict[str, tuple[str, ...]]:
@@ -102,47 +102,54 @@ def _words(name: str, declared: Comparison, config: Project) -> tuple[str, ...]:
     return () if others else declared.groups
 
 
-def items(found: BatchesOfQueries, package: str, words: Mapping[str, str]) -> Iterator[PaperItem]:
+def items(query_batches: BatchesOfQueries, package: str, words: Mapping[str, str]) -> Iterator[PaperItem]:
     """Yield the deliverables of a paper, each computed from the last batches of its queries.
 
     `package` is the id of its package; `words` has by the name of a claim whether it was planned or exploratory.
 
     Raises NotFound for a query that was not run, and SierraError for a deliverable that cannot be made.
     """
-    project, store, config = found.project, found.store, found.project.config
+    project, store, config = query_batches.project, query_batches.store, query_batches.project.config
     compared: dict[str, Compared] = {}
     with Galleries(project, store) as galleries:
         for name, figure in config.figures.items():
             if figure.query:
                 with named("figure", name):
                     claims = _claims(config, words, figure=name)
-                    yield _figure(name, figure, comparison.of_queries(found, figure.query), galleries, claims)
+                    yield _figure(name, figure, comparison.of_queries(query_batches, figure.query), galleries, claims)
         for name, table in config.paper_tables.items():
             if table.query:
                 with named("table", name):
-                    made = declared_tables.make(project, store, name, table, comparison.of_queries(found, table.query))
-                    content, claims = made.content(), _claims(config, words, table=name)
+                    computed = declared_tables.make(
+                        project, store, name, table, comparison.of_queries(query_batches, table.query)
+                    )
+                    content, claims = computed.content(), _claims(config, words, table=name)
                     paths = f"{TABLES}/{fitting(name)}.tex", f"{SQL}/{fitting(name)}.sql"
-                    yield PaperItem(name, content, _with(content.data, claims), paths, partial(_table, made, claims))
-        for one in kinds.bound(config):
-            with named(one.kind, one.name):
-                yield _added(one, comparison.of_queries(found, one.query), galleries)
-        for name, made_now in compared_by(found):
-            compared[name] = made_now
+                    yield PaperItem(name, content, _with(content.data, claims), paths, partial(_table, computed, claims))
+        for deliverable in kinds.bound(config):
+            with named(deliverable.kind, deliverable.name):
+                yield _added(deliverable, comparison.of_queries(query_batches, deliverable.query), galleries)
+        for name, comparison_result in compared_by(query_batches):
+            compared[name] = comparison_result
             with named("comparison", name):
-                content, made_files = comparison_figure.content_of(made_now), partial(_comparison, made_now)
-                yield PaperItem(name, content, content.data, _paths_of(made_now), made_files)
+                content, make_files = comparison_figure.content_of(comparison_result), partial(_comparison, comparison_result)
+                yield PaperItem(name, content, content.data, _paths_of(comparison_result), make_files)
     if config.numbers or config.paper.package:
-        yield _numbers(found, compared, package)
+        yield _numbers(query_batches, compared, package)
 
 
-def compared_by(found: BatchesOfQueries) -> Iterator[tuple[str, Compared]]:
+def compared_by(query_batches: BatchesOfQueries) -> Iterator[tuple[str, Compared]]:
     """Yield the comparisons that are bound to queries, by their names, each made from the last batches of its queries."""
-    for name, words in comparisons(found.project.config).items():
-        declared = found.project.config.comparisons[name]
+    for name, words in comparisons(query_batches.project.config).items():
+        declared = query_batches.project.config.comparisons[name]
         with named("comparison", name):
             asked = declared if declared.by or declared.query else declared.model_copy(update={"groups": ()})
-            yield name, comparison.compare(found.project, found.store, name, comparison.of_queries(found, words), asked)
+            yield (
+                name,
+                comparison.compare(
+                    query_batches.project, query_batches.store, name, comparison.of_queries(query_batches, words), asked
+                ),
+            )
 
 
 def _claims(config: Project, words: Mapping[str, str], *, figure: str = "", table: str = "") -> str:
@@ -226,21 +233,23 @@ def _placed(name: str, files: Iterable[tuple[Format, bytes]]) -> dict[str, bytes
     return {_path(name, ending): data for ending, data in files}
 
 
-def _added(one: InPaper, batches: Mapping[str, str], galleries: Galleries) -> PaperItem:
+def _added(deliverable: InPaper, batches: Mapping[str, str], galleries: Galleries) -> PaperItem:
     """Return the files of a deliverable that an extension makes, in a folder with the name of its table in `sierra.toml`."""
     data = {label if len(batches) > 1 else "": galleries.of(batch) for label, batch in batches.items()}
-    content, names, make = one.files(data)
+    content, names, make = deliverable.files(data)
 
     def files() -> dict[str, bytes]:
-        return {f"{one.table}/{name}": made for name, made in make().items()}
+        return {f"{deliverable.table}/{name}": file_bytes for name, file_bytes in make().items()}
 
-    return PaperItem(one.name, content, content.data, tuple(f"{one.table}/{name}" for name in names), files, same_bytes=False)
+    return PaperItem(
+        deliverable.name, content, content.data, tuple(f"{deliverable.table}/{name}" for name in names), files, same_bytes=False
+    )
 
 
-def _table(made: declared_tables.ComputedTable, claims: str) -> dict[str, bytes]:
+def _table(computed: declared_tables.ComputedTable, claims: str) -> dict[str, bytes]:
     """Return the files of a table for papers: its LaTeX, with claims in its caption or else below it, and its SQL."""
-    content, name = made.content(), fitting(made.name)
-    table = made.table
+    content, name = computed.content(), fitting(computed.name)
+    table = computed.table
     above = table.caption or table.note
     text = f"{ended(above)} {claims}" if above and claims else above or claims
     table = replace(table, caption=text) if table.caption else replace(table, note=text)
@@ -248,26 +257,26 @@ def _table(made: declared_tables.ComputedTable, claims: str) -> dict[str, bytes]
     head = f"% {origin}; SQL: {SQL}/{name}.sql\n\n"
     return {
         f"{TABLES}/{name}.tex": (head + paper_tables.FORMATS["latex"](table)).encode(),
-        f"{SQL}/{name}.sql": f"-- {origin}\n{made.sql}\n".encode(),
+        f"{SQL}/{name}.sql": f"-- {origin}\n{computed.sql}\n".encode(),
     }
 
 
-def _numbers(found: BatchesOfQueries, compared: Mapping[str, Compared], package: str) -> PaperItem:
+def _numbers(query_batches: BatchesOfQueries, compared: Mapping[str, Compared], package: str) -> PaperItem:
     """Return the numbers in the text. Raises SierraError for one that cannot be computed.
 
     Records do not have the package's id: whoever checks them may not have the package.
     """
-    config = found.project.config
-    claims = numbers.claims_of(found)
+    config = query_batches.project.config
+    claims = numbers.claims_of(query_batches)
     shown: dict[str, tuple[str, str]] = {}
-    batches = [found.last(word) for word in queries(config)]
+    batches = [query_batches.last(word) for word in queries(config)]
     for name, number in config.numbers.items():
         with named("number", name):
-            value = numbers.computed(found, number, compared, claims)
+            value = numbers.computed(query_batches, number, compared, claims)
             shown[name] = numbers.text(number, value, siunitx=config.paper.siunitx), value.origin
             batches += value.batches
     batches = list(dict.fromkeys(batches))
-    every = {name: (text, "") for name, text in numbers.built_in(found.store, batches).items()} | shown
+    every = {name: (text, "") for name, text in numbers.built_in(query_batches.store, batches).items()} | shown
     definition: dict[str, JsonView] = {
         "numbers": {name: number.model_dump(mode="json", exclude_defaults=True) for name, number in config.numbers.items()},
         "paper": config.paper.model_dump(mode="json", include={"prefix", "siunitx"}),
@@ -282,7 +291,7 @@ def _numbers(found: BatchesOfQueries, compared: Mapping[str, Compared], package:
 
 
 def _macros(content: Deliverable, shown: Mapping[str, tuple[str, str]], prefix: str) -> dict[str, bytes]:
-    """Return the file with a macro for each number, and that with their SQL."""
+    """Return two files: one with a macro for each number, one with their SQL."""
     origin = origin_of(content.batches[0], content.data, *content.batches[1:])
     lines = [rf"\newcommand{{\{prefix}{name}}}{{{text}}}{f' % {why}' if why else ''}" for name, (text, why) in shown.items()]
     files = {f"{NUMBERS}.tex": "\n".join([f"% {origin}", "", *lines, ""]).encode()}

@@ -85,12 +85,12 @@ def read(folder: Path) -> Provenance | None:
         data = read_regular(file)
     try:
         content = json.loads(data)
-        found = options(Provenance, content, str(file)) if isinstance(content, dict) else None
+        provenance = options(Provenance, content, str(file)) if isinstance(content, dict) else None
     except (ValueError, RecursionError) as error:
         raise Damaged(f"{file}: not JSON: {error}") from error
-    if found is None or not isinstance(content, dict) or content.get("version") != VERSION:
+    if provenance is None or not isinstance(content, dict) or content.get("version") != VERSION:
         raise Damaged(f"{file} is not of format {VERSION}: another version of SIERRA wrote it, or it is no file of SIERRA's")
-    return found
+    return provenance
 
 
 def check(folder: Path, root: Path, shown: str) -> None:
@@ -118,14 +118,14 @@ def write(folder: Path, before: Provenance, provenance: Provenance, contents: Ma
     `before`: the provenance that the folder has; empty if it has none. `contents`: the files that were made; the others of the
     provenance stay as they are. Raises Missing if the folder cannot be written.
     """
-    found = {name: _sha256(inside(folder, name)) for name in {*before.files, *before.unfinished, *contents}}
-    own = {name: {before.unfinished.get(name)} for name in found}
+    hashes = {name: _sha256(inside(folder, name)) for name in {*before.files, *before.unfinished, *contents}}
+    own = {name: {before.unfinished.get(name)} for name in hashes}
     for name, file in before.files.items():
         own[name].add(file.sha256)
     wanted = {name: sha256(content) for name, content in contents.items()}
-    edited = {name for name, digest in found.items() if digest not in (None, wanted.get(name), *own[name])}
-    changing = [name for name in contents if name not in edited and found[name] != wanted[name]]
-    gone = [name for name in found if name not in provenance.files and name not in edited and found[name] is not None]
+    edited = {name for name, digest in hashes.items() if digest not in (None, wanted.get(name), *own[name])}
+    changing = [name for name in contents if name not in edited and hashes[name] != wanted[name]]
+    gone = [name for name in hashes if name not in provenance.files and name not in edited and hashes[name] is not None]
     with disk_errors(folder):
         if changing or gone:
             begun = before.model_copy(update={"unfinished": {**before.unfinished, **{name: wanted[name] for name in changing}}})
@@ -165,10 +165,10 @@ def _write_provenance(folder: Path, provenance: Provenance) -> bool:
 def faults(folder: Path, provenance: Provenance) -> Iterator[tuple[str, str]]:
     """Yield each file that is missing, or that is not the one that SIERRA wrote, and what is wrong with it."""
     for name, file in provenance.files.items():
-        found = _sha256(inside(folder, name))
-        if found is None:
+        digest = _sha256(inside(folder, name))
+        if digest is None:
             yield name, "is missing"
-        elif found != file.sha256:
+        elif digest != file.sha256:
             yield name, "was edited: it is not the file that SIERRA wrote"
 
 

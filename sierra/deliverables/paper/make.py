@@ -32,8 +32,8 @@ def requests(project: LoadedProject) -> list[QueryRequest]:
     """
     folder.check(path(project), project.root, project.config.paper.folder)
     _check_names(project.config)
-    if found := bound_files.requests(project.config):
-        return found
+    if requested := bound_files.requests(project.config):
+        return requested
     raise NotFound("nothing is bound to a query: give figures, tables or comparisons of sierra.toml the key `query`")
 
 
@@ -66,15 +66,17 @@ def make(project: LoadedProject, store: Store, package: str = "") -> Written:
     contents: dict[str, bytes] = {}
     files: dict[str, PaperFile] = {}
     items: list[PaperItem] = []
-    found = BatchesOfQueries(project, store)
-    claims = _claims(found)
-    for item in bound_files.items(found, package, _words(claims)):
-        kept = _kept(item, before, path(project), _recorded(found, item))
-        made = {} if kept else item.files()
-        contents |= made
-        files |= kept or {name: _described(item, data) for name, data in made.items()}
+    query_batches = BatchesOfQueries(project, store)
+    claims = _claims(query_batches)
+    for item in bound_files.items(query_batches, package, _words(claims)):
+        kept = _kept(item, before, path(project), _recorded(query_batches, item))
+        new_files = {} if kept else item.files()
+        contents |= new_files
+        files |= kept or {name: _described(item, data) for name, data in new_files.items()}
         items.append(item)
-    written = folder.write(path(project), before, Provenance(queries=_batches(found), claims=claims, files=files), contents)
+    written = folder.write(
+        path(project), before, Provenance(queries=_batches(query_batches), claims=claims, files=files), contents
+    )
     _record(project, store, items, {*written.edited})
     return written
 
@@ -83,21 +85,21 @@ Recorded = Mapping[tuple[str, tuple[str, ...]], str]
 """The SHA-256 of files, by their paths and the libraries that made them."""
 
 
-def _recorded(found: BatchesOfQueries, item: PaperItem) -> Recorded:
+def _recorded(query_batches: BatchesOfQueries, item: PaperItem) -> Recorded:
     """Return the files that the store has recorded for what a deliverable shows now. Other libraries may make other bytes."""
     if not item.same_bytes:
         return {}
-    content, place = item.content, path(found.project).relative_to(found.project.root).as_posix()
+    content, prefix = item.content, path(query_batches.project).relative_to(query_batches.project.root).as_posix()
     same = content.kind, content.name, content.data, defined(content)
     return {
-        (file.removeprefix(f"{place}/"), tuple(row.made_by)): digest
-        for row in deliverable_records.latest(found.store, content.batches[0])
+        (file.removeprefix(f"{prefix}/"), tuple(row.made_by)): digest
+        for row in deliverable_records.latest(query_batches.store, content.batches[0])
         if (row.kind, row.name, row.data, row.definition) == same
         for file, digest in zip(row.files, row.sha256s, strict=True)
     }
 
 
-def _kept(item: PaperItem, before: Provenance, place: Path, recorded: Recorded) -> dict[str, PaperFile] | None:
+def _kept(item: PaperItem, before: Provenance, directory: Path, recorded: Recorded) -> dict[str, PaperFile] | None:
     """Return the files of a deliverable if they exist and show the same data in the same way; else None.
 
     Files that the store has recorded with other hashes do not count: somebody edited them together with `provenance.json`.
@@ -107,7 +109,7 @@ def _kept(item: PaperItem, before: Provenance, place: Path, recorded: Recorded) 
     same = all((file.data, file.definition) == present for file in known.values())
     own = all(_is_recorded(name, file, recorded) for name, file in known.items())
     whole = same and own and known.keys() == {*item.paths}
-    return known if whole and not any(folder.faults(place, Provenance(files=known))) else None
+    return known if whole and not any(folder.faults(directory, Provenance(files=known))) else None
 
 
 def _is_recorded(name: str, file: PaperFile, recorded: Recorded) -> bool:
@@ -131,22 +133,22 @@ def _described(item: PaperItem, data: bytes) -> PaperFile:
 def _definition(item: PaperItem) -> str:
     """Return the hash of how a deliverable is made; the names of its queries do not count."""
     parts = {
-        key: {name: one for name, one in part.items() if name != "query"} if isinstance(part, Mapping) else part
+        key: {name: value for name, value in part.items() if name != "query"} if isinstance(part, Mapping) else part
         for key, part in item.content.definition.items()
     }
     return sha256(json.dumps(parts, sort_keys=True, ensure_ascii=False).encode())
 
 
-def _batches(found: BatchesOfQueries) -> dict[str, PaperQuery]:
+def _batches(query_batches: BatchesOfQueries) -> dict[str, PaperQuery]:
     """Return the last batch of each query of the paper, by the query as it is declared."""
-    batches = {word: found.last(word) for word in bound_files.queries(found.project.config)}
-    sources = {batch: next(iter(found.store.values(str, SOURCE, b=batch)), None) for batch in batches.values()}
+    batches = {word: query_batches.last(word) for word in bound_files.queries(query_batches.project.config)}
+    sources = {batch: next(iter(query_batches.store.values(str, SOURCE, b=batch)), None) for batch in batches.values()}
     return {word: PaperQuery(batch=batch, source=sources[batch]) for word, batch in batches.items()}
 
 
-def _claims(found: BatchesOfQueries) -> dict[str, PaperClaim]:
+def _claims(query_batches: BatchesOfQueries) -> dict[str, PaperClaim]:
     """Return the claims that a figure, a table or a number of the paper shows, by name."""
-    config = found.project.config
+    config = query_batches.project.config
     if not config.claims:
         return {}
     shown = {number.claim for number in config.numbers.values()}
@@ -156,15 +158,17 @@ def _claims(found: BatchesOfQueries) -> dict[str, PaperClaim]:
         if (claim.figure in config.figures and config.figures[claim.figure].query)
         or (claim.table in config.paper_tables and config.paper_tables[claim.table].query)
     }
-    known = BatchesOfClaims(found.project, found.store)
+    known = BatchesOfClaims(query_batches.project, query_batches.store)
     batches: dict[str, tuple[str, ...]] = {}
     for name in config.claims:
         if name in shown:
             batches[name] = ()
             with contextlib.suppress(SierraError):  # it has not been run: no execution counts
                 batches[name] = tuple(known.of(name, config.claims[name]).values())
-    registered = registrations(found.project, found.store, batches)
-    return {name: PaperClaim(claim=one.claim, registered=one.word) for name, one in registered.items()}
+    registered = registrations(query_batches.project, query_batches.store, batches)
+    return {
+        name: PaperClaim(claim=registration.claim, registered=registration.word) for name, registration in registered.items()
+    }
 
 
 def _words(claims: Mapping[str, PaperClaim]) -> dict[str, str]:
@@ -191,25 +195,25 @@ def faults(project: LoadedProject, store: Store | None, package: str = "") -> It
 
     Without a store, the files are compared with `provenance.json` alone. Raises NotFound if the paper was not made.
     """
-    place, shown = path(project), Path(project.config.paper.folder)
-    provenance = folder.read(place)
+    directory, shown = path(project), Path(project.config.paper.folder)
+    provenance = folder.read(directory)
     if provenance is None:
         raise NotFound(f"{shown / PROVENANCE} does not exist; make it with: sierra paper")
-    yield from (f"{shown / name} {fault}" for name, fault in folder.faults(place, provenance))
+    yield from (f"{shown / name} {fault}" for name, fault in folder.faults(directory, provenance))
     if provenance.unfinished:
         yield f"{shown / PROVENANCE}: the paper was not finished; make it again with: sierra paper"
     if store is not None:
-        found = BatchesOfQueries(project, store)
-        yield from dict.fromkeys(_old_queries(found))
-        yield from _differences(found, shown, provenance, package)
+        query_batches = BatchesOfQueries(project, store)
+        yield from dict.fromkeys(_old_queries(query_batches))
+        yield from _differences(query_batches, shown, provenance, package)
 
 
-def _old_queries(found: BatchesOfQueries) -> Iterator[str]:
+def _old_queries(query_batches: BatchesOfQueries) -> Iterator[str]:
     """Yield a line for each query that has no batch with the project as it is now."""
-    for request in requests(found.project):
+    for request in requests(query_batches.project):
         text = " ".join(request.criteria)
         try:
-            now, last = found.now(request), found.same(request)[-1:]
+            now, last = query_batches.now(request), query_batches.same(request)[-1:]
         except DamagedFile:
             raise
         except SierraError as error:
@@ -223,18 +227,18 @@ def _old_queries(found: BatchesOfQueries) -> Iterator[str]:
             yield f"query {text!r} was requested last with other code, as batch {short(last[0])}; make the paper again"
 
 
-def _differences(found: BatchesOfQueries, shown: Path, provenance: Provenance, package: str) -> Iterator[str]:
+def _differences(query_batches: BatchesOfQueries, shown: Path, provenance: Provenance, package: str) -> Iterator[str]:
     """Yield a line for each file of a deliverable that shows other data now, and for those that are no longer made."""
     known: dict[str, tuple[str, str]] = {}
     recorded: dict[tuple[str, tuple[str, ...]], str] = {}
     paths: list[str] = []
     try:
-        claims = _claims(found)
-        for item in bound_files.items(found, package, _words(claims)):
+        claims = _claims(query_batches)
+        for item in bound_files.items(query_batches, package, _words(claims)):
             known[f"{item.content.kind} {item.name}"] = item.data, _definition(item)
             paths += item.paths
-            recorded |= _recorded(found, item)
-        batches = _batches(found)
+            recorded |= _recorded(query_batches, item)
+        batches = _batches(query_batches)
     except DamagedFile:
         raise
     except SierraError as error:

@@ -104,18 +104,18 @@ def computed(
     return _of_statistic(queries.project, queries.store, number, batch)
 
 
-def _of_claim(found: Evaluated) -> Computed:
-    if not found.batches:
-        raise SierraError(found.text)
+def _of_claim(evaluation: Evaluated) -> Computed:
+    if not evaluation.batches:
+        raise SierraError(evaluation.text)
     return Computed(
-        found.value,
-        found.low,
-        found.high,
-        found.p,
-        found.verdict.value,
-        found.registered.value,
-        f"claim {found.name}",
-        found.batches,
+        evaluation.value,
+        evaluation.low,
+        evaluation.high,
+        evaluation.p,
+        evaluation.verdict.value,
+        evaluation.registered.value,
+        f"claim {evaluation.name}",
+        evaluation.batches,
     )
 
 
@@ -159,65 +159,72 @@ def _of_sql(store: Store, statement: str, batches: Mapping[str, str]) -> Compute
 def _of_statistic(project: LoadedProject, store: Store, number: NumberInText, batch: str) -> Computed:
     output, [column] = of_tables(project, store, batch, number.table, (number.column,) if number.column else ())
     measure = number.measure or "auto"
-    found = statistics(project, store, batch, output, column, measure, number.threshold, chosen=(number.statistic,))
-    chosen = condition.among(number.experiments, found.axes, found.cells, found.labelled)
+    summary = statistics(project, store, batch, output, column, measure, number.threshold, chosen=(number.statistic,))
+    chosen = condition.among(number.experiments, summary.axes, summary.cells, summary.labelled)
     if len(chosen) != 1:
         hint = (
-            f'select one by {", ".join(found.axes)}, as in experiments = "{found.axes[0]}=…"' if found.axes else "there is one"
+            f'select one by {", ".join(summary.axes)}, as in experiments = "{summary.axes[0]}=…"'
+            if summary.axes
+            else "there is one"
         )
         raise UsageError(f"experiments = {number.experiments!r} are {len(chosen)}, but a number is that of one; {hint}")
-    estimates, _ = paper_tables.estimates_of(found, number.statistic, chosen)
+    estimates, _ = paper_tables.estimates_of(summary, number.statistic, chosen)
     estimate, low, high, n = estimates[min(chosen)]
     origin = f"{number.statistic} of {column}, n = {n}, query {number.query[0]}"
     return Computed(estimate, low, high, origin=origin)
 
 
-def text(number: NumberInText, found: Computed, *, siunitx: bool) -> str:
+def text(number: NumberInText, computed_number: Computed, *, siunitx: bool) -> str:
     """Return a number for LaTeX. Raises SierraError if it has no such part."""
     match number.value:
         case "verdict":
-            return paper_tables.escaped(found.verdict)
+            return paper_tables.escaped(computed_number.verdict)
         case "registered":
-            return paper_tables.escaped(found.registered)
+            return paper_tables.escaped(computed_number.registered)
         case "p":
-            if found.p is None:
+            if computed_number.p is None:
                 raise SierraError("it has no p value")
-            return f"${p_value(found.p)}$"
+            return f"${p_value(computed_number.p)}$"
         case "interval":
-            if found.low is None and found.high is None:
+            if computed_number.low is None and computed_number.high is None:
                 raise SierraError("it has no interval")
-            return f"[{', '.join(_number(end, siunitx=siunitx) for end in _ends(number, found))}]{_unit(number.unit)}"
-    if found.estimate is None or found.estimate != found.estimate:
+            return f"[{', '.join(_number(end, siunitx=siunitx) for end in _ends(number, computed_number))}]{_unit(number.unit)}"
+    if computed_number.estimate is None or computed_number.estimate != computed_number.estimate:
         raise SierraError("it has no value" + '; value = "verdict" prints the verdict' * bool(number.claim))
-    if isinstance(found.estimate, str):
-        return paper_tables.escaped(found.estimate) + _unit(number.unit)
-    shown = _printed(number, found.estimate, found)
+    if isinstance(computed_number.estimate, str):
+        return paper_tables.escaped(computed_number.estimate) + _unit(number.unit)
+    shown = _printed(number, computed_number.estimate, computed_number)
     if siunitx and number.unit:
         return rf"\qty{{{_plain(shown)}}}{{{number.unit}}}"
     return _number(shown, siunitx=siunitx) + _unit(number.unit)
 
 
-def _printed(number: NumberInText, value: float, found: Computed) -> str:
+def _printed(number: NumberInText, value: float, computed_number: Computed) -> str:
     """Return a number with the digits of its format, or else of its interval."""
     if number.format:
         return format(value, number.format)
     if isinstance(value, int):
         return str(value)
-    parts = rounded(float(value), found.low, found.high)
+    parts = rounded(float(value), computed_number.low, computed_number.high)
     return f"{parts.value}e{parts.exponent}" if parts.exponent else parts.value
 
 
-def _ends(number: NumberInText, found: Computed) -> tuple[str, str]:
-    if found.low is None or found.high is None:
+def _ends(number: NumberInText, computed_number: Computed) -> tuple[str, str]:
+    if computed_number.low is None or computed_number.high is None:
         raise SierraError("its interval has only one end")
     if number.format:
-        return format(found.low, number.format), format(found.high, number.format)
-    center = found.estimate if isinstance(found.estimate, int | float) else (found.low + found.high) / 2
-    digits = rounded(float(center), found.low, found.high)
+        return format(computed_number.low, number.format), format(computed_number.high, number.format)
+    center = (
+        computed_number.estimate
+        if isinstance(computed_number.estimate, int | float)
+        else (computed_number.low + computed_number.high) / 2
+    )
+    digits = rounded(float(center), computed_number.low, computed_number.high)
     places = len(digits.value.partition(".")[2])
     scale = 10.0**-digits.exponent
     low, high = (
-        f"{end * scale:.{places}f}" + (f"e{digits.exponent}" if digits.exponent else "") for end in (found.low, found.high)
+        f"{end * scale:.{places}f}" + (f"e{digits.exponent}" if digits.exponent else "")
+        for end in (computed_number.low, computed_number.high)
     )
     return low, high
 

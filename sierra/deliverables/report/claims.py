@@ -30,58 +30,58 @@ class Claims:
     @property
     def counts(self) -> Mapping[Verdict, int]:
         """Return the number of claims by verdict."""
-        found = {verdict: sum(one.verdict == verdict for one in self.shown) for verdict in Verdict}
-        return {verdict: count for verdict, count in found.items() if count}
+        numbers = {verdict: sum(claim.verdict == verdict for claim in self.shown) for verdict in Verdict}
+        return {verdict: count for verdict, count in numbers.items() if count}
 
 
 def find(project: LoadedProject, store: Store, batches: Sequence[str], among: Sequence[str] | None, *, every: bool) -> Claims:
     """Return the claims that rest on one of these batches, or all if `every`; `among` is as in `evaluate`."""
     if not project.config.claims:
         return Claims(())
-    found = evaluate.evaluate(project, store, among=among)
-    shown = [one for one in found if every or set(batches).intersection(one.batches)]
-    return Claims(shown, [one.name for one in found if one not in shown])
+    evaluations = evaluate.evaluate(project, store, among=among)
+    shown = [evaluation for evaluation in evaluations if every or set(batches).intersection(evaluation.batches)]
+    return Claims(shown, [evaluation.name for evaluation in evaluations if evaluation not in shown])
 
 
-def section(project: LoadedProject, found: Claims, place: Place) -> Section | None:
+def section(project: LoadedProject, claims: Claims, headings: Place) -> Section | None:
     """Return the section about claims; None if the project has none."""
-    if not found.shown and not found.others:
+    if not claims.shown and not claims.others:
         return None
-    lines = [_claim(one, project.config.claims[one.name], place) for one in found.shown]
-    if found.others:
+    lines = [_claim(evaluation, project.config.claims[evaluation.name], headings) for evaluation in claims.shown]
+    if claims.others:
         text = "Claims of the project that rest on other batches, or on none that is recorded"
-        lines.append(note(f"{text}: {few(found.others, NAMED)}."))
+        lines.append(note(f"{text}: {few(claims.others, NAMED)}."))
     return Section("claims", "Claims", joined(lines))
 
 
-def _claim(one: Evaluated, claim: Claim, place: Place) -> Markup:
+def _claim(evaluation: Evaluated, claim: Claim, headings: Place) -> Markup:
     return element(
         "article",
-        element(place.inner, badge(one.verdict.value, KINDS[one.verdict]), " ", auto(one.says)),
-        element("p", one.text, dir="auto", class_="numbers"),
-        *map(note, one.notes),
-        facts(_facts(one)),
-        *_origin(one, claim),
+        element(headings.inner, badge(evaluation.verdict.value, KINDS[evaluation.verdict]), " ", auto(evaluation.says)),
+        element("p", evaluation.text, dir="auto", class_="numbers"),
+        *map(note, evaluation.notes),
+        facts(_facts(evaluation)),
+        *_origin(evaluation, claim),
         class_="claim",
     )
 
 
-def _facts(one: Evaluated) -> dict[str, str]:
-    tests = f"corrected for {counted(one.tests, 'claim')} on this table of pairs (Holm)" if one.tests else ""
+def _facts(evaluation: Evaluated) -> dict[str, str]:
+    tests = f"corrected for {counted(evaluation.tests, 'claim')} on this table of pairs (Holm)" if evaluation.tests else ""
     return {
-        "name": one.name,
-        "registered": "; ".join(one.registration.lines),
-        "shown in": one.shown,
-        "runs": f"{one.n}" if one.n else "",
-        "data": one.ground.value,
+        "name": evaluation.name,
+        "registered": "; ".join(evaluation.registration.lines),
+        "shown in": evaluation.shown,
+        "runs": f"{evaluation.n}" if evaluation.n else "",
+        "data": evaluation.ground.value,
         "p values": tests,
-        "batches": ", ".join(map(short, one.batches)),
+        "batches": ", ".join(map(short, evaluation.batches)),
     }
 
 
-def _origin(one: Evaluated, claim: Claim) -> Iterator[Markup]:
+def _origin(evaluation: Evaluated, claim: Claim) -> Iterator[Markup]:
     if claim.sql:
         yield sql(claim.sql, summary="SQL that decides this")
         return
     declared = claim.model_dump_json(exclude_unset=True, by_alias=True, indent=1)
-    yield details(f"How this is decided: by its {one.kind}", code(declared, "the declaration"))
+    yield details(f"How this is decided: by its {evaluation.kind}", code(declared, "the declaration"))

@@ -36,11 +36,11 @@ class Comparisons:
 
     def within(self, batch: str) -> list[Compared]:
         """Return the comparisons of groups within one batch."""
-        return [one for one in self.shown if list(one.batches.values()) == [batch]]
+        return [compared for compared in self.shown if list(compared.batches.values()) == [batch]]
 
     def between(self) -> list[Compared]:
         """Return the comparisons of several batches."""
-        return [one for one in self.shown if len(one.batches) > 1]
+        return [compared for compared in self.shown if len(compared.batches) > 1]
 
 
 def find(
@@ -50,21 +50,23 @@ def find(
 
     `declared_between` makes a declared comparison of several batches; None if the queries that it names cannot be resolved.
     """
-    found: dict[tuple[str, tuple[str, ...]], Compared] = {}
+    by_batches: dict[tuple[str, tuple[str, ...]], Compared] = {}
     notes = []
-    for name, made in _possible(project, store, batches, declared_between):
+    for name, make in _possible(project, store, batches, declared_between):
         try:
-            one = made()
+            compared = make()
         except (DamagedFile, Missing):
             raise
         except SierraError as error:
             notes.append(f"comparison {name} could not be made: {error}")
             continue
-        if set(batches).intersection(one.batches.values()):
-            found.setdefault((one.name, tuple(one.batches.values())), one)
-    if declared_between is None and (left := [name for name, one in project.config.comparisons.items() if not _is_within(one)]):
+        if set(batches).intersection(compared.batches.values()):
+            by_batches.setdefault((compared.name, tuple(compared.batches.values())), compared)
+    if declared_between is None and (
+        left := [name for name, declared in project.config.comparisons.items() if not _is_within(declared)]
+    ):
         notes.append(f"comparisons of several batches are not made from the declarations of a package: {', '.join(left)}")
-    return Comparisons(list(found.values()), notes)
+    return Comparisons(list(by_batches.values()), notes)
 
 
 def _possible(
@@ -89,52 +91,52 @@ def _of_batch(project: LoadedProject, store: Store, name: str, asked: Comparison
     return comparison.compare(project, store, name, {short(batch): batch}, asked)
 
 
-def section(found: Sequence[Compared], notes: Sequence[str], place: Place) -> Section | None:
+def section(comparisons: Sequence[Compared], notes: Sequence[str], headings: Place) -> Section | None:
     """Return the section about comparisons; None if there is nothing to say."""
-    lines = [_compared(one, place) for one in found] + list(map(note, notes))
+    lines = [_compared(compared, headings) for compared in comparisons] + list(map(note, notes))
     return Section("comparisons", "Comparisons", joined(lines)) if lines else None
 
 
-def _compared(one: Compared, place: Place) -> Markup:
-    shown = paper_table(one)
+def _compared(compared: Compared, headings: Place) -> Markup:
+    shown = paper_table(compared)
     return element(
         "article",
-        element(place.inner, auto(one.name)),
-        element("p", one.text, dir="auto"),
-        *_picture(one),
+        element(headings.inner, auto(compared.name)),
+        element("p", compared.text, dir="auto"),
+        *_picture(compared),
         as_element(shown),
-        *map(note, one.notes),
-        details("How to make this again", code(again(one), "the comparison")),
+        *map(note, compared.notes),
+        details("How to make this again", code(again(compared), "the comparison")),
         class_="comparison",
     )
 
 
-def _picture(one: Compared) -> Iterator[Markup]:
+def _picture(compared: Compared) -> Iterator[Markup]:
     try:
-        svg = comparison_figure.svg(one)
+        svg = comparison_figure.svg(compared)
     except UsageError as error:
         yield note(f"There is no figure: {error}")
         return
-    yield picture(svg, f"Differences between groups. {one.text}")
+    yield picture(svg, f"Differences between groups. {compared.text}")
 
 
-def again(one: Compared) -> str:
+def again(compared: Compared) -> str:
     """Return the command that makes a comparison again; its keys in `sierra.toml` if the command has no options for them."""
-    if one.asked.where or one.asked.experiments or one.asked.groups:
-        return one.asked.model_dump_json(exclude_unset=True, indent=1)
-    groups = [f"{group}={batch}" if len(one.batches) > 1 else batch for group, batch in one.batches.items()]
+    if compared.asked.where or compared.asked.experiments or compared.asked.groups:
+        return compared.asked.model_dump_json(exclude_unset=True, indent=1)
+    groups = [f"{group}={batch}" if len(compared.batches) > 1 else batch for group, batch in compared.batches.items()]
     options = {
-        "--by": ",".join(one.asked.by),
-        "--table": one.table,
-        "--column": one.column,
-        "--measure": "" if one.asked.over_time else one.measure,
-        "--threshold": "" if one.asked.threshold is None else f"{one.asked.threshold!r}",
-        "--method": "" if one.asked.method == Comparison().method else one.asked.method,
-        "--paired": {"auto": "", True: "yes", False: "no"}[one.asked.paired],
-        "--against": one.asked.against or "",
-        "--margin": "" if one.asked.margin is None else f"{one.asked.margin!r}",
-        "--alpha": "" if one.asked.alpha == Comparison().alpha else f"{one.asked.alpha!r}",
+        "--by": ",".join(compared.asked.by),
+        "--table": compared.table,
+        "--column": compared.column,
+        "--measure": "" if compared.asked.over_time else compared.measure,
+        "--threshold": "" if compared.asked.threshold is None else f"{compared.asked.threshold!r}",
+        "--method": "" if compared.asked.method == Comparison().method else compared.asked.method,
+        "--paired": {"auto": "", True: "yes", False: "no"}[compared.asked.paired],
+        "--against": compared.asked.against or "",
+        "--margin": "" if compared.asked.margin is None else f"{compared.asked.margin!r}",
+        "--alpha": "" if compared.asked.alpha == Comparison().alpha else f"{compared.asked.alpha!r}",
     }
     words = [*groups, *(word for name, value in options.items() if value for word in (name, value))]
-    words += ["--over-time"] if one.asked.over_time else []
+    words += ["--over-time"] if compared.asked.over_time else []
     return shlex.join(["sierra", "compare", *words])

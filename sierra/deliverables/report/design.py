@@ -50,11 +50,11 @@ def section(state: BatchState) -> Section:
 def _experiments(state: BatchState) -> Iterator[Markup]:
     experiments, axes = state.shown.experiments, state.shown.row.axes
     states = [name for name in dict.fromkeys((*MEANINGS, *state.counts)) if state.counts.get(name)]
-    values = [plain([one.values.get(axis, "") for one in experiments]) for axis in axes]
+    values = [plain([experiment.values.get(axis, "") for experiment in experiments]) for axis in axes]
     rows: list[Sequence[str | int]] = []
-    for place, one in enumerate(experiments[:MOST]):
-        counts = [state.states.get(one.ordinal, {}).get(name, 0) for name in states]
-        rows.append((*([str(column[place]) for column in values] or [f"{one.ordinal}"]), one.runs, *counts))
+    for index, experiment in enumerate(experiments[:MOST]):
+        counts = [state.states.get(experiment.ordinal, {}).get(name, 0) for name in states]
+        rows.append((*([str(column[index]) for column in values] or [f"{experiment.ordinal}"]), experiment.runs, *counts))
     first = len(axes) or 1
     numbers = range(first, first + 1 + len(states))
     yield table((*(axes or ["experiment"]), "runs", *states), rows, "Runs of each experiment by their state", tuple(numbers))
@@ -66,13 +66,13 @@ def _experiments(state: BatchState) -> Iterator[Markup]:
 
 
 def _seeds(state: BatchState) -> Iterator[Markup]:
-    found = state.store.select(_Seed, SEEDS, b=state.id)
-    if not found:
+    rows = state.store.select(_Seed, SEEDS, b=state.id)
+    if not rows:
         return
-    if all(one.seeds == 1 for one in found):
+    if all(row.seeds == 1 for row in rows):
         text = "Run i has the same seed in every experiment, so runs with the same number can be compared as pairs."
-        shown = [f"{one.number}: {one.seed}" for one in found[:MOST]]
-        more = f" … and {len(found) - MOST:,} more" if len(found) > MOST else ""
+        shown = [f"{row.number}: {row.seed}" for row in rows[:MOST]]
+        more = f" … and {len(rows) - MOST:,} more" if len(rows) > MOST else ""
         content = element("p", ", ".join(shown) + more, class_="seeds")
     else:
         text, content = "Runs with the same number have different seeds in different experiments.", None

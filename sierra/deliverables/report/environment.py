@@ -50,92 +50,97 @@ class _Attempts(NamedTuple):
     error: str
 
 
-def section(state: BatchState, place: Place) -> Section:
+def section(state: BatchState, headings: Place) -> Section:
     """Return the section about what was around the executions that count."""
-    return Section("environment", "Environment", joined(_lines(state, place)))
+    return Section("environment", "Environment", joined(_lines(state, headings)))
 
 
-def _lines(state: BatchState, place: Place) -> Iterator[Markup]:
-    yield element(place.inner, "Code")
+def _lines(state: BatchState, headings: Place) -> Iterator[Markup]:
+    yield element(headings.inner, "Code")
     yield facts(_code(state))
     yield from _variables(json.loads(state.shown.spec.variables))
-    yield element(place.inner, "Hosts")
+    yield element(headings.inner, "Hosts")
     yield from _hosts(state)
-    yield from _cluster(state, place)
-    for lines in extensions.called("member_lines", state, place):
+    yield from _cluster(state, headings)
+    for lines in extensions.called("member_lines", state, headings):
         yield from lines
-    yield from _image(state, place)
+    yield from _image(state, headings)
     yield from _programs(state)
 
 
 def _code(state: BatchState) -> dict[str, Node]:
     spec, source = state.shown.spec, state.shown.source
-    found: dict[str, Node] = {"platform": spec.platform, "command": element("code", " ".join(spec.command))}
+    known: dict[str, Node] = {"platform": spec.platform, "command": element("code", " ".join(spec.command))}
     if source is None:
-        return {**found, "source": "none declared"}
-    found |= {"commit": source.commit and element("code", source.commit), "described as": source.described}
-    found |= {"branch": source.branch, "remote": source.remote, "tree": element("code", source.tree)}
+        return {**known, "source": "none declared"}
+    known |= {"commit": source.commit and element("code", source.commit), "described as": source.described}
+    known |= {"branch": source.branch, "remote": source.remote, "tree": element("code", source.tree)}
     if source.dirty is not None:
         text = "differed from the commit; SIERRA keeps the exact files" if source.dirty else "as in the commit"
-        found["working tree"] = joined(
+        known["working tree"] = joined(
             (badge("dirty" if source.dirty else "clean", "unclear" if source.dirty else "good"), " ", text)
         )
     if source.vcs == "none":
-        found["version control"] = "none; SIERRA keeps the files"
-    return found
+        known["version control"] = "none; SIERRA keeps the files"
+    return known
 
 
-def _variables(found: Mapping[str, str]) -> Iterator[Markup]:
-    if found:
-        lines = "\n".join(f"{name}={value}" for name, value in found.items())
+def _variables(variables: Mapping[str, str]) -> Iterator[Markup]:
+    if variables:
+        lines = "\n".join(f"{name}={value}" for name, value in variables.items())
         yield details(
-            f"Declared environment variables ({len(found)})",
+            f"Declared environment variables ({len(variables)})",
             element("pre", lines, tabindex=0, role="group", aria_label="Environment variables", dir="auto"),
         )
 
 
 def _hosts(state: BatchState) -> Iterator[Markup]:
-    found = state.store.select(_Host, HOSTS, b=state.id)
-    if not found:
+    hosts = state.store.select(_Host, HOSTS, b=state.id)
+    if not hosts:
         yield note("No execution counts yet.")
         return
     rows = [
         (
-            one.host,
-            one.os or "",
-            one.kernel or "",
-            " ".join(filter(None, (one.cpu, f"({one.machine})" if one.machine else ""))),
-            f"{one.cores}" if one.cores else "",
-            size(one.memory) if one.memory else "",
-            " / ".join(filter(None, (one.python, one.sierra))),
-            one.executions,
+            host.host,
+            host.os or "",
+            host.kernel or "",
+            " ".join(filter(None, (host.cpu, f"({host.machine})" if host.machine else ""))),
+            f"{host.cores}" if host.cores else "",
+            size(host.memory) if host.memory else "",
+            " / ".join(filter(None, (host.python, host.sierra))),
+            host.executions,
         )
-        for one in found[:SHOWN]
+        for host in hosts[:SHOWN]
     ]
     headers = ("host", "system", "kernel", "processor", "cores", "memory", "Python / SIERRA", "runs")
     yield table(headers, rows, "Hosts of the executions that count", numbers=(4, 5, 7))
-    if len(found) > SHOWN:
-        yield note(f"The first {SHOWN} of {len(found)} are listed.")
+    if len(hosts) > SHOWN:
+        yield note(f"The first {SHOWN} of {len(hosts)} are listed.")
     yield sql(HOSTS, state.id)
 
 
-def _cluster(state: BatchState, place: Place) -> Iterator[Markup]:
-    found = state.store.select(_Attempts, ATTEMPTS, b=state.id)
-    if found:
-        yield element(place.inner, "Cluster")
-        rows = [(one.scheduler or "", one.nodes, one.attempts, one.state, one.cut, one.error) for one in found[:SHOWN]]
+def _cluster(state: BatchState, headings: Place) -> Iterator[Markup]:
+    attempts = state.store.select(_Attempts, ATTEMPTS, b=state.id)
+    if attempts:
+        yield element(headings.inner, "Cluster")
+        rows = [
+            (attempt.scheduler or "", attempt.nodes, attempt.attempts, attempt.state, attempt.cut, attempt.error)
+            for attempt in attempts[:SHOWN]
+        ]
         headers = ("scheduler", "nodes", "array tasks", "ended", "runs cut off", "error")
         yield filled_table(headers, rows, "Attempts at array tasks, also those whose runs do not count", (1, 2, 4))
         yield sql(ATTEMPTS, state.id)
 
 
-def _image(state: BatchState, place: Place) -> Iterator[Markup]:
+def _image(state: BatchState, headings: Place) -> Iterator[Markup]:
     image = state.shown.image
     if image is None:
         return
-    yield element(place.inner, "Container")
+    yield element(headings.inner, "Container")
     isolations = [
-        f"{one.row.version or one.row.engine}, network {one.row.network}" for one in state.shown.isolations if one.row
+        f"{isolation.row.version or isolation.row.engine}, network {isolation.row.network}"
+        for isolation in state.shown.isolations
+        if isolation.row
     ]
     known: dict[str, Node] = {**image.facts(state.shown.spec.host_access)}
     known |= {"id": element("code", image.image), "isolation": few(list(dict.fromkeys(isolations)), 4)}
@@ -146,7 +151,9 @@ def _programs(state: BatchState) -> Iterator[Markup]:
     programs = state.shown.programs
     if not programs:
         return
-    rows = [(one.name, one.kind, one.short_version[:120], short(one.sha256 or "")) for one in programs[:SHOWN]]
+    rows = [
+        (program.name, program.kind, program.short_version[:120], short(program.sha256 or "")) for program in programs[:SHOWN]
+    ]
     more = note(f"The first {SHOWN} of {len(programs):,} are listed.") if len(programs) > SHOWN else None
     inner = table(("name", "kind", "version", "SHA-256"), rows, "Programs and libraries outside of the source and the image")
     yield details("Programs and libraries", inner, more)

@@ -37,19 +37,19 @@ class _Last(NamedTuple):
     log_tail: str | None
 
 
-def section(state: BatchState, place: Place) -> Section:
+def section(state: BatchState, headings: Place) -> Section:
     """Return the section about failures, also if there are none."""
-    return Section("failures", "Failures", joined(_lines(state, place)))
+    return Section("failures", "Failures", joined(_lines(state, headings)))
 
 
-def _lines(state: BatchState, place: Place) -> Iterator[Markup]:
+def _lines(state: BatchState, headings: Place) -> Iterator[Markup]:
     failures = state.shown.failures
     if not failures:
         yield element("p", "No run failed." if not state.unexecuted else "No run that was executed failed.")
-    for one in failures[:REASONS]:
-        yield _failure(state, one, place)
+    for failure in failures[:REASONS]:
+        yield _failure(state, failure, headings)
     if len(failures) > REASONS:
-        runs = sum(one.runs for one in failures[REASONS:])
+        runs = sum(failure.runs for failure in failures[REASONS:])
         yield note(f"{len(failures) - REASONS} more reasons, of {counted(runs, 'run')}: see sierra show {state.short}.")
     if failures:
         yield sql(FAILURES, state.id)
@@ -63,22 +63,22 @@ def _lines(state: BatchState, place: Place) -> Iterator[Markup]:
 
 def _earlier(state: BatchState) -> Iterator[Markup]:
     """Yield a table of executions that did not succeed, of runs that another execution has completed."""
-    found = state.store.select(_Earlier, EARLIER, b=state.id)
-    if found:
+    rows = state.store.select(_Earlier, EARLIER, b=state.id)
+    if rows:
         caption = "Executions that did not succeed, and whose runs succeeded when they were executed again"
-        yield table(("ended", "reason", "executions"), found[:REASONS], caption, (2,))
+        yield table(("ended", "reason", "executions"), rows[:REASONS], caption, (2,))
         yield sql(EARLIER, state.id)
 
 
-def _failure(state: BatchState, one: Failed, place: Place) -> Markup:
-    values = "".join(f"{name} = {value}, " for name, value in one.values.items())
-    where: list[Node] = ["for example ", element("code", short(one.run)), f" ({values}run {one.number})"]
-    last = next(iter(state.store.select(_Last, LAST, r=one.run)), None)
+def _failure(state: BatchState, failure: Failed, headings: Place) -> Markup:
+    values = "".join(f"{name} = {value}, " for name, value in failure.values.items())
+    where: list[Node] = ["for example ", element("code", short(failure.run)), f" ({values}run {failure.number})"]
+    last = next(iter(state.store.select(_Last, LAST, r=failure.run)), None)
     if last:
         where.append(f" on {last.host}")
     return element(
         "article",
-        element(place.inner, f"{counted(one.runs, 'run')}: ", auto(one.reason)),
+        element(headings.inner, f"{counted(failure.runs, 'run')}: ", auto(failure.reason)),
         element("p", *where, dir="auto"),
         _log(last.log_tail) if last and last.log_tail else note("It left no log."),
         class_="failure",

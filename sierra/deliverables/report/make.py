@@ -43,7 +43,7 @@ MOST = 1000
 
 @dataclass(frozen=True, slots=True)
 class ReportSource:
-    """Where a report comes from."""
+    """The source of a report: a store with its project, or a received package."""
 
     project: LoadedProject
     store: Store
@@ -115,12 +115,12 @@ def of_batches(
     source = received(source)
     states = [batch_state.read(source.project, source.store, batch) for batch in batches]
     tell("claims")
-    found = claims.find(source.project, source.store, batches, batches if source.received else None, every=bool(every))
+    shown_claims = claims.find(source.project, source.store, batches, batches if source.received else None, every=bool(every))
     tell("comparisons")
     compared = comparisons.find(source.project, source.store, batches, source.declared_between)
     if len(states) == 1:
-        return replace(_single(source, states[0], found, compared, tell), title=every)
-    return replace(_several(source, states, found, compared, tell, every or f"{len(states)} batches"), title=every)
+        return replace(_single(source, states[0], shown_claims, compared, tell), title=every)
+    return replace(_several(source, states, shown_claims, compared, tell, every or f"{len(states)} batches"), title=every)
 
 
 def _list(source: ReportSource, title: str) -> Report:
@@ -129,60 +129,60 @@ def _list(source: ReportSource, title: str) -> Report:
     remedy = "name some, as in: sierra report HASH HASH" if source.received is None else "see: sierra open FILE.zip explore"
     data = page.of_batches(title, [index_section(listed, (), remedy)], [], Claims(()), source.received)
     note = f"{len(listed):,} batches are too many for one page, so it only has their list; {remedy}"
-    return Report(data, [one.batch for one in listed], (note,), complete=False)
+    return Report(data, [batch.batch for batch in listed], (note,), complete=False)
 
 
 def _single(
-    source: ReportSource, state: BatchState, found: Claims, compared: Comparisons, tell: Callable[[str], None]
+    source: ReportSource, state: BatchState, shown_claims: Claims, compared: Comparisons, tell: Callable[[str], None]
 ) -> Report:
-    place = Place()
-    of_claims = claims.section(source.project, found, place)
-    of_groups = comparisons.section(compared.shown, compared.notes, place)
-    parts = _parts(source, state, place, (of_groups, of_claims), source.films(), tell)
-    data = page.of_batch(state, parts.sections, found, source.received)
+    headings = Place()
+    of_claims = claims.section(source.project, shown_claims, headings)
+    of_groups = comparisons.section(compared.shown, compared.notes, headings)
+    parts = _parts(source, state, headings, (of_groups, of_claims), source.films(), tell)
+    data = page.of_batch(state, parts.sections, shown_claims, source.received)
     return _made(data, [state], [parts], (*parts.notes, *compared.notes))
 
 
 def _several(
     source: ReportSource,
     states: Sequence[BatchState],
-    found: Claims,
+    shown_claims: Claims,
     compared: Comparisons,
     tell: Callable[[str], None],
     title: str,
 ) -> Report:
     ids = [state.id for state in states]
     listed = sorted(
-        (one for one in list_batches.batches(source.store) if one.batch in ids), key=lambda one: ids.index(one.batch)
+        (batch for batch in list_batches.batches(source.store) if batch.batch in ids), key=lambda batch: ids.index(batch.batch)
     )
-    of_claims = claims.section(source.project, found, Place())
+    of_claims = claims.section(source.project, shown_claims, Place())
     of_groups = comparisons.section(compared.between(), compared.notes, Place())
     every, films = [], source.films()
     for number, state in enumerate(states, 1):
-        place = Chapter(state, ()).place
-        within = comparisons.section(compared.within(state.id), (), place)
-        every.append(_parts(source, state, place, (within,), films, _within(tell, f"batch {number} of {len(states)}")))
+        headings = Chapter(state, ()).place
+        within = comparisons.section(compared.within(state.id), (), headings)
+        every.append(_parts(source, state, headings, (within,), films, _within(tell, f"batch {number} of {len(states)}")))
     chapters = [Chapter(state, parts.sections) for state, parts in zip(states, every, strict=True)]
     first = [index_section(listed, ids), *filter(None, (of_claims, of_groups))]
-    data = page.of_batches(title, first, chapters, found, source.received)
+    data = page.of_batches(title, first, chapters, shown_claims, source.received)
     return _made(data, states, every, (*compared.notes, *dict.fromkeys(note for parts in every for note in parts.notes)))
 
 
-def _within(tell: Callable[[str], None], place: str) -> Callable[[str], None]:
-    return lambda text: tell(f"{place}, {text}")
+def _within(tell: Callable[[str], None], prefix: str) -> Callable[[str], None]:
+    return lambda text: tell(f"{prefix}, {text}")
 
 
 def _made(data: bytes, states: Sequence[BatchState], every: Sequence[_Parts], notes: Sequence[str]) -> Report:
     figures = [parts.figures for parts in every]
-    sql = dict.fromkeys(content.sql for one in figures for content in one.contents if content.sql)
-    libraries = sorted({name for one in figures for name in one.libraries})
+    sql = dict.fromkeys(content.sql for drawn in figures for content in drawn.contents if content.sql)
+    libraries = sorted({name for drawn in figures for name in drawn.libraries})
     return Report(data, [state.id for state in states], notes, sql=[*sql], libraries=libraries)
 
 
 def _parts(
     source: ReportSource,
     state: BatchState,
-    place: Place,
+    headings: Place,
     between: Sequence[Section | None],
     films: Films,
     tell: Callable[[str], None],
@@ -190,17 +190,17 @@ def _parts(
     """Return the sections about a batch, with some after its results."""
     figures = results.figures(state, tell)
     tell("tables and facts")
-    tables, failed = results.table_section(state, place)
+    tables, failed = results.table_section(state, headings)
     sections = [
         question.section(state),
         design.section(state),
-        results.figure_section(figures, place),
+        results.figure_section(figures, headings),
         *filter(None, (tables, results.other_section(state, films))),
         *filter(None, between),
-        failures.section(state, place),
+        failures.section(state, headings),
         *extensions.called("report_sections", state),
-        environment.section(state, place),
-        reproduce.section(state, source.received, place),
+        environment.section(state, headings),
+        reproduce.section(state, source.received, headings),
     ]
     return _Parts(sections, (*figures.notes, *failed), figures)
 
@@ -211,7 +211,7 @@ def index_section(listed: Sequence[ListedBatch], shown: Collection[str], remedy:
     `remedy` says how to see the others if none has.
     """
     headers = ("batch", "query", "controller", "scenario", "experiments", "runs", "failed", "not executed", "first submitted")
-    rows = [_row(one, one.batch in shown) for one in listed[:MOST]]
+    rows = [_row(batch, batch.batch in shown) for batch in listed[:MOST]]
     inner: list[Node] = [filled_table(headers, rows, numbers=(4, 5, 6, 7, 8))]
     if len(listed) > MOST:
         inner.append(note(f"The first {MOST:,} of {len(listed):,} batches are listed; sierra ls lists all."))
@@ -220,16 +220,16 @@ def index_section(listed: Sequence[ListedBatch], shown: Collection[str], remedy:
     return Section("batches", "Batches", joined(inner))
 
 
-def _row(one: ListedBatch, shown: bool) -> tuple[Node, ...]:
-    identity: Markup = element("code", short(one.batch))
+def _row(batch: ListedBatch, shown: bool) -> tuple[Node, ...]:
+    identity: Markup = element("code", short(batch.batch))
     return (
-        element("a", identity, href=f"#b{short(one.batch)}") if shown else identity,
-        one.query,
-        one.controller,
-        one.scenario,
-        f"{one.experiments:,}",
-        f"{one.runs:,}",
-        "?" if one.failed is None else f"{one.failed:,}",
-        "?" if one.missing is None else f"{one.missing:,}",
-        f"{one.created:%Y-%m-%d %H:%M}",
+        element("a", identity, href=f"#b{short(batch.batch)}") if shown else identity,
+        batch.query,
+        batch.controller,
+        batch.scenario,
+        f"{batch.experiments:,}",
+        f"{batch.runs:,}",
+        "?" if batch.failed is None else f"{batch.failed:,}",
+        "?" if batch.missing is None else f"{batch.missing:,}",
+        f"{batch.created:%Y-%m-%d %H:%M}",
     )

@@ -90,12 +90,12 @@ class Films:
 
 def by_name(files: Sequence[str]) -> Mapping[str, Sequence[str]]:
     """Return the playable files of each film, the preferred one first, by their name without ending."""
-    found: dict[str, list[str]] = {}
+    playable: dict[str, list[str]] = {}
     for suffix in FORMATS:
         for file in files:
             if PurePosixPath(file).suffix == suffix:
-                found.setdefault(PurePosixPath(file).stem, []).append(file)
-    return dict(sorted(found.items()))
+                playable.setdefault(PurePosixPath(file).stem, []).append(file)
+    return dict(sorted(playable.items()))
 
 
 def captions(row: DeliverableRow) -> Callable[[str], str]:
@@ -104,13 +104,13 @@ def captions(row: DeliverableRow) -> Callable[[str], str]:
     A stranger may have written the definition; then a caption is only the name.
     """
     try:
-        found = _Definition.model_validate_json(row.definition)
+        definition = _Definition.model_validate_json(row.definition)
         whole = _Titled.model_validate(json.loads(row.definition).get(row.kind, {}))
     except ValidationError:
-        found, whole = _Definition(), _Titled()
+        definition, whole = _Definition(), _Titled()
 
     def caption(name: str) -> str:
-        titles = ", ".join(filter(None, (whole.title, found.files.get(name, _Titled()).title)))
+        titles = ", ".join(filter(None, (whole.title, definition.files.get(name, _Titled()).title)))
         return f"{name}: {titles}" if titles else name
 
     return caption

@@ -44,7 +44,7 @@ class Chapter:
             element("p", "Batch ", element("code", self.state.short), id=f"{name}-batch", class_="kicker"),
             auto(question.title(self.state), "h2", id=f"{name}-title"),
             standing(self.state),
-            *(section(one, self.place) for one in self.sections),
+            *(section(part, self.place) for part in self.sections),
             id=name,
             aria_labelledby=f"{name}-title",
             class_="chapter",
@@ -56,18 +56,18 @@ def of_batch(state: BatchState, sections: Sequence[Section], claims: Claims, rec
     kicker = joined(("Report of batch ", element("code", state.short)))
     title = question.title(state)
     opening = (standing(state), _tiles([state], claims))
-    contents = [(one.name, one.title) for one in sections]
-    return _page(title, kicker, opening, contents, [section(one, Place()) for one in sections], [state], received)
+    contents = [(part.name, part.title) for part in sections]
+    return _page(title, kicker, opening, contents, [section(part, Place()) for part in sections], [state], received)
 
 
 def of_batches(
     title: str, sections: Sequence[Section], chapters: Sequence[Chapter], claims: Claims, received: Received | None
 ) -> bytes:
     """Return the report of several batches: sections about all of them, and a chapter for each."""
-    contents = [(one.name, one.title) for one in sections]
-    contents += [(f"b{one.state.short}", f"{one.state.short}: {question.title(one.state)}") for one in chapters]
-    states = [one.state for one in chapters]
-    parts = [*(section(one, Place()) for one in sections), *(one.element() for one in chapters)]
+    contents = [(part.name, part.title) for part in sections]
+    contents += [(f"b{chapter.state.short}", f"{chapter.state.short}: {question.title(chapter.state)}") for chapter in chapters]
+    states = [chapter.state for chapter in chapters]
+    parts = [*(section(part, Place()) for part in sections), *(chapter.element() for chapter in chapters)]
     opening = (_tiles(states, claims),) if states else ()
     return _page(title, Markup("Report"), opening, contents, parts, states, received)
 
@@ -119,15 +119,15 @@ def _banner(kind: str, word: str, text: str) -> Markup:
 
 def _tiles(states: Sequence[BatchState], claims: Claims) -> Markup:
     """Return the numbers of the report, large."""
-    rows = [one.shown.row for one in states]
-    sizes = {"experiment": sum(one.experiments for one in rows), "run": sum(one.runs for one in rows)}
+    rows = [state.shown.row for state in states]
+    sizes = {"experiment": sum(row.experiments for row in rows), "run": sum(row.runs for row in rows)}
     always = {counted(number, noun).partition(" ")[2]: number for noun, number in sizes.items()}
-    always["succeeded"] = sum(one.succeeded for one in states)
-    perhaps = {"accepted ends": sum(one.accepted for one in states)}
-    perhaps["failed or cut off"] = sum(one.unsuccessful for one in states)
-    perhaps["not executed"] = sum(one.unexecuted for one in states)
-    found = {**always, **{name: number for name, number in perhaps.items() if number}}
-    tiles = [element("div", element("dt", name), element("dd", f"{number:,}")) for name, number in found.items()]
+    always["succeeded"] = sum(state.succeeded for state in states)
+    perhaps = {"accepted ends": sum(state.accepted for state in states)}
+    perhaps["failed or cut off"] = sum(state.unsuccessful for state in states)
+    perhaps["not executed"] = sum(state.unexecuted for state in states)
+    numbers = {**always, **{name: number for name, number in perhaps.items() if number}}
+    tiles = [element("div", element("dt", name), element("dd", f"{number:,}")) for name, number in numbers.items()]
     tiles += [
         element("div", element("dt", TILES[verdict]), element("dd", f"{count}"), class_=KINDS[verdict])
         for verdict, count in claims.counts.items()

@@ -47,11 +47,11 @@ class Place:
         return f"h{self.level + 2}"
 
 
-def section(one: Section, place: Place) -> Markup:
+def section(part: Section, headings: Place) -> Markup:
     """Return a section as an element, which readers and links find by its heading."""
-    name = f"{place.prefix}{one.name}"
-    heading = element(place.heading, one.title, id=f"{name}-title")
-    return element("section", heading, one.body, id=name, aria_labelledby=place.labels(f"{name}-title"), class_="part")
+    name = f"{headings.prefix}{part.name}"
+    heading = element(headings.heading, part.title, id=f"{name}-title")
+    return element("section", heading, part.body, id=name, aria_labelledby=headings.labels(f"{name}-title"), class_="part")
 
 
 def auto(text: str, tag: str = "span", **attributes: str) -> Markup:
@@ -63,8 +63,10 @@ def table(
     headers: Sequence[str], rows: Iterable[Sequence[Node | int]], caption: str = "", numbers: Sequence[int] = ()
 ) -> Markup:
     """Return a table that scrolls if it is too wide. `numbers` are the places of the columns that are right-aligned."""
-    kinds = ["number" if place in numbers else None for place in range(len(headers))]
-    head = joined(element("th", one, scope="col", dir="auto", class_=kind) for one, kind in zip(headers, kinds, strict=True))
+    kinds = ["number" if column in numbers else None for column in range(len(headers))]
+    head = joined(
+        element("th", header, scope="col", dir="auto", class_=kind) for header, kind in zip(headers, kinds, strict=True)
+    )
     body = joined(element("tr", joined(_cell(k, cell, k in numbers) for k, cell in enumerate(row))) for row in rows)
     above = element("caption", caption) if caption else None
     inner = element("table", above, element("thead", element("tr", head)), element("tbody", body))
@@ -75,22 +77,24 @@ def filled_table(
     headers: Sequence[str], rows: Sequence[Sequence[Node | int]], caption: str = "", numbers: Sequence[int] = ()
 ) -> Markup:
     """Return a table like `table`, without the columns that are empty in all rows."""
-    kept = [place for place in range(len(headers)) if any(row[place] not in (None, "") for row in rows)]
-    inner = [["" if row[place] is None else row[place] for place in kept] for row in rows]
-    return table([headers[place] for place in kept], inner, caption, [kept.index(place) for place in numbers if place in kept])
+    kept = [column for column in range(len(headers)) if any(row[column] not in (None, "") for row in rows)]
+    inner = [["" if row[column] is None else row[column] for column in kept] for row in rows]
+    return table(
+        [headers[column] for column in kept], inner, caption, [kept.index(column) for column in numbers if column in kept]
+    )
 
 
-def _cell(place: int, cell: Node | int, number: bool) -> Markup:
+def _cell(column: int, cell: Node | int, number: bool) -> Markup:
     shown = str(cell) if isinstance(cell, int) else cell
     kind = "number" if number else None
-    if place == 0:
+    if column == 0:
         return element("th", shown, scope="row", dir="auto", class_=kind)
     return element("td", shown, dir="auto", class_=kind)
 
 
-def facts(found: Mapping[str, Node]) -> Markup:
+def facts(values_by_name: Mapping[str, Node]) -> Markup:
     """Return names and values as a list; values that are None or empty are left out."""
-    pairs = ((name, value) for name, value in found.items() if value not in (None, ""))
+    pairs = ((name, value) for name, value in values_by_name.items() if value not in (None, ""))
     inner = (element("div", element("dt", name), element("dd", value, dir="auto")) for name, value in pairs)
     return element("dl", joined(inner), class_="facts")
 

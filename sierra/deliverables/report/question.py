@@ -23,7 +23,7 @@ def section(state: BatchState) -> Section:
         "controller": _label(state, "controller", row.controller),
         "scenario": _label(state, "scenario", row.scenario),
         "targets": few(state.shown.targets, SHOWN),
-        "set for all runs": joined(auto(one, "div") for one in row.overrides) if row.overrides else None,
+        "set for all runs": joined(auto(override, "div") for override in row.overrides) if row.overrides else None,
     }
     written = element("code", state.query, dir="auto")
     lines.append(facts({"query as written": written, **fixed}))
@@ -55,7 +55,7 @@ def title(state: BatchState) -> str:
 
 def values_of(state: BatchState) -> Mapping[str, Sequence[Value]]:
     """Return the values of each variable, in the order of the batch."""
-    rows = [one.values for one in state.shown.experiments]
+    rows = [experiment.values for experiment in state.shown.experiments]
     return {name: list(dict.fromkeys(row[name] for row in rows if name in row)) for name in state.shown.row.axes}
 
 

@@ -27,37 +27,39 @@ SIERRA = f"sierra-experiments=={__version__}"
 AGAIN = "write it again with: sierra report"
 
 
-def data(made: Report) -> str:
+def data(report: Report) -> str:
     """Return the hash of all that a report shows."""
-    return digest("report data", {"page": sha256(PICTURE.sub(b"", made.page))})
+    return digest("report data", {"page": sha256(PICTURE.sub(b"", report.page))})
 
 
-def named(made: Report) -> bytes:
+def named(report: Report) -> bytes:
     """Return the page of a report with the line that names its batches and the hash of its data."""
-    if not made.complete:
-        return made.page
-    first, *others = made.batches
-    line = origin_of(first, data(made), *others)
-    return made.page.replace(UNNAMED, f'<meta name="{ORIGIN}" content="{line}">'.encode(), 1)
+    if not report.complete:
+        return report.page
+    first, *others = report.batches
+    line = origin_of(first, data(report), *others)
+    return report.page.replace(UNNAMED, f'<meta name="{ORIGIN}" content="{line}">'.encode(), 1)
 
 
-def content(name: str, made: Report) -> Deliverable:
+def content(name: str, report: Report) -> Deliverable:
     """Return everything that the file of a report depends on. `name` is that of its file, without ending."""
-    made_by = (SIERRA, *made.libraries)
-    return Deliverable(REPORT, name, tuple(made.batches), {"title": made.title}, "\n\n".join(made.sql), data(made), made_by)
+    made_by = (SIERRA, *report.libraries)
+    return Deliverable(
+        REPORT, name, tuple(report.batches), {"title": report.title}, "\n\n".join(report.sql), data(report), made_by
+    )
 
 
-def record(store: Store, root: Path, file: Path, made: Report) -> list[str]:
+def record(store: Store, root: Path, file: Path, report: Report) -> list[str]:
     """Record a report that was written to a file of the project; return a note if that is not possible.
 
     A file outside of the project is not recorded, because records name files within it; nor is a list of too many batches,
     which no batch owns.
     """
     path, within = file.resolve(), root.resolve()
-    if not made.complete or not path.is_relative_to(within):
+    if not report.complete or not path.is_relative_to(within):
         return []
-    recorder = Recorder(store, root, made.batches[0])
-    recorder.add(content(path.stem, made), (root / path.relative_to(within),))
+    recorder = Recorder(store, root, report.batches[0])
+    recorder.add(content(path.stem, report), (root / path.relative_to(within),))
     try:
         recorder.close()
     except Missing as error:

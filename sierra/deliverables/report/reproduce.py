@@ -27,21 +27,21 @@ class Received:
     notes: tuple[str, ...] = ()
 
 
-def section(state: BatchState, received: Received | None, place: Place) -> Section:
+def section(state: BatchState, received: Received | None, headings: Place) -> Section:
     """Return the section about how to cite and to repeat a batch."""
-    return Section("reproduce", "Cite and reproduce", joined(_lines(state, received, place)))
+    return Section("reproduce", "Cite and reproduce", joined(_lines(state, received, headings)))
 
 
-def _lines(state: BatchState, received: Received | None, place: Place) -> Iterator[Markup]:
+def _lines(state: BatchState, received: Received | None, headings: Place) -> Iterator[Markup]:
     package = received.package if received else state.project.config.package
-    yield element(place.inner, "Cite")
+    yield element(headings.inner, "Cite")
     yield code(citation(package, state.id, received), "the citation")
     if not (package.title and package.authors):
         yield note("[package] in sierra.toml gives a citation its title and authors: see sierra package --cite.")
-    yield element(place.inner, "Reproduce")
+    yield element(headings.inner, "Reproduce")
     yield code("\n".join(_commands(state, received)), "the commands")
     yield note("The id names the question, the code, the inputs and the seeds. It is the same on every machine.")
-    yield from _replays(state, place)
+    yield from _replays(state, headings)
 
 
 def citation(package: Package, batch: str, received: Received | None) -> str:
@@ -71,9 +71,9 @@ def _commands(state: BatchState, received: Received | None) -> Iterator[str]:
     yield f"sierra package {state.short} -o results.zip   # write all that a stranger needs to one file"
 
 
-def _replays(state: BatchState, place: Place) -> Iterator[Markup]:
+def _replays(state: BatchState, headings: Place) -> Iterator[Markup]:
     if not state.shown.replays:
         return
-    yield element(place.inner, "Recorded replays")
-    rows = [(short(one.replay), one.kind, one.runs, one.verdict) for one in state.shown.replays]
+    yield element(headings.inner, "Recorded replays")
+    rows = [(short(replay.replay), replay.kind, replay.runs, replay.verdict) for replay in state.shown.replays]
     yield table(("replay", "replayed", "runs", "verdict"), rows, "Replays of this batch, or of a part of it", numbers=(2,))

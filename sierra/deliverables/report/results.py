@@ -83,34 +83,34 @@ def _content(drawing: Drawing, svg: bytes) -> SectionContent:
     return interactive.content(drawing, svg, origin_of(drawing.batch, drawing.data))
 
 
-def figure_section(found: Figures, place: Place) -> Section:
+def figure_section(drawn: Figures, headings: Place) -> Section:
     """Return the section with all figures."""
-    shown = [_figure(content, place, number) for number, content in enumerate(found.contents, 1)]
+    shown = [_figure(content, headings, number) for number, content in enumerate(drawn.contents, 1)]
     lines = [element("div", *shown, class_="figures") if shown else note("There is no figure.")]
-    return Section("figures", "Figures", joined((*lines, *map(note, found.notes))))
+    return Section("figures", "Figures", joined((*lines, *map(note, drawn.notes))))
 
 
-def _figure(content: SectionContent, place: Place, number: int) -> Markup:
-    name = f"{place.prefix}figure-{number}"
-    tables = [table_element(one, k) for k, one in enumerate(content.tables)]
-    charts = [chart_element(one, k, place.innermost) for k, one in enumerate(content.charts)]
+def _figure(content: SectionContent, headings: Place, number: int) -> Markup:
+    name = f"{headings.prefix}figure-{number}"
+    tables = [table_element(data, k) for k, data in enumerate(content.tables)]
+    charts = [chart_element(chart, k, headings.innermost) for k, chart in enumerate(content.charts)]
     return element(
         "section",
-        auto(content.title, place.inner, id=name),
+        auto(content.title, headings.inner, id=name),
         picture(content.picture, described(content), ". ".join(content.notes)),
         _explorer(charts) if charts else None,
         *tables,
         sql(content.sql) if content.sql else None,
         data_element(content),
         class_="figure wide" if _width(content.picture) > WIDE else "figure",
-        aria_labelledby=place.labels(name),
+        aria_labelledby=headings.labels(name),
     )
 
 
 def _width(svg: bytes) -> float:
     """Return the width of an SVG file of matplotlib, in points; 0 if it does not name it."""
-    found = WIDTH.search(svg[:5000])
-    return float(found[1]) if found else 0.0
+    match = WIDTH.search(svg[:5000])
+    return float(match[1]) if match else 0.0
 
 
 def _explorer(charts: Sequence[Markup]) -> Markup:
@@ -128,10 +128,10 @@ def described(content: SectionContent) -> str:
 
 def _sentences(chart: Chart) -> Iterator[str]:
     yield f"{f'{chart.title}: ' if chart.title else ''}{chart.y.label} over {chart.x.label}."
-    for one in chart.series[:SERIES]:
-        rows = [one.stop - 1] if chart.form == "lines" else [one.start, one.stop - 1]
+    for series in chart.series[:SERIES]:
+        rows = [series.stop - 1] if chart.form == "lines" else [series.start, series.stop - 1]
         values = [text for row in dict.fromkeys(rows) if (text := _value(chart, row))]
-        yield f"{f'{one.name}: ' if one.name else ''}{', '.join(values)}." if values else f"{one.name}: no value."
+        yield f"{f'{series.name}: ' if series.name else ''}{', '.join(values)}." if values else f"{series.name}: no value."
     if len(chart.series) > SERIES:
         yield f"And {len(chart.series) - SERIES} more series."
 
@@ -154,58 +154,58 @@ def _short(value: object, beside: Sequence[object]) -> str:
     return short_number(value, digits_apart(beside, 4)) if isinstance(value, float) else str(value)
 
 
-def table_section(state: BatchState, place: Place) -> tuple[Section | None, list[str]]:
+def table_section(state: BatchState, headings: Place) -> tuple[Section | None, list[str]]:
     """Return the section with the declared tables for papers, None if there are none, and notes on those that failed."""
     lines: list[Markup] = []
     failed = []
     for name, declared in state.project.config.paper_tables.items():
         try:
-            made = declared_tables.make(state.project, state.store, name, declared, {state.short: state.id})
+            computed = declared_tables.make(state.project, state.store, name, declared, {state.short: state.id})
         except (DamagedFile, Missing):
             raise
         except SierraError as error:
             failed += [] if isinstance(error, AllFailed) else [f"table {name} could not be made: {error}"]
             continue
-        lines += _table(made, place)
+        lines += _table(computed, headings)
     lines += map(note, failed)
     return (Section("tables", "Tables", joined(lines)) if lines else None), failed
 
 
-def _table(made: ComputedTable, place: Place) -> Iterator[Markup]:
-    yield auto(made.table.caption or made.name, place.inner)
-    yield paper_table(made.table)
-    yield sql(made.sql)
+def _table(computed: ComputedTable, headings: Place) -> Iterator[Markup]:
+    yield auto(computed.table.caption or computed.name, headings.inner)
+    yield paper_table(computed.table)
+    yield sql(computed.sql)
 
 
 def paper_table(shown: paper_tables.PaperTable) -> Markup:
     """Return a table for papers, with the line below it."""
     rows = [[paper_tables.as_text(cell) for cell in row] for row in shown.rows]
-    numbers = tuple(place for place in range(len(shown.headers)) if place not in shown.texts)
+    numbers = tuple(column for column in range(len(shown.headers)) if column not in shown.texts)
     return joined((table(shown.headers, rows, numbers=numbers), note(shown.note) if shown.note else None))
 
 
 def other_section(state: BatchState, films: Films) -> Section | None:
     """Return the section with deliverables in files of their own, such as videos; None if there are none."""
-    found = [row for row in deliverable_records.latest(state.store, state.id) if row.kind not in DRAWN]
-    if not found:
+    records = [row for row in deliverable_records.latest(state.store, state.id) if row.kind not in DRAWN]
+    if not records:
         return None
-    rows = [(row.name, row.kind, joined(auto(file, "div") for file in row.files), _hashes(row.sha256s)) for row in found]
-    shown = [player for row in found for player in films.players(row)]
+    rows = [(row.name, row.kind, joined(auto(file, "div") for file in row.files), _hashes(row.sha256s)) for row in records]
+    shown = [player for row in records for player in films.players(row)]
     text = "Their SHA-256 tells whether a file is the recorded one."
     if not shown:
         text = f"These files are not in this page. {text}"
     listed = table(("name", "kind", "files", "SHA-256"), rows, "Videos and other files")
-    inner = (element("div", *shown, class_="figures") if shown else None, *_older(state, found), element("p", text), listed)
+    inner = (element("div", *shown, class_="figures") if shown else None, *_older(state, records), element("p", text), listed)
     return Section("videos", "Videos and other files", joined(inner))
 
 
-def _older(state: BatchState, found: Sequence[DeliverableRow]) -> Iterator[Markup]:
+def _older(state: BatchState, records: Sequence[DeliverableRow]) -> Iterator[Markup]:
     """Yield a note on deliverables whose records are older than a result of the batch. They are not made again for a page."""
     last = next(iter(state.store.values(int, LAST_RESULT, b=state.id)), 0)
-    if older := list(dict.fromkeys(row.name for row in found if row.lamport < last)):
+    if older := list(dict.fromkeys(row.name for row in records if row.lamport < last)):
         text = f"The records of these files are older than the last results of this batch: {few(older, SERIES)}."
         yield note(f"{text} sierra figures --check tells whether they still show the results.")
 
 
-def _hashes(found: Sequence[str]) -> Markup:
-    return joined(element("div", element("code", short(one))) for one in found)
+def _hashes(digests: Sequence[str]) -> Markup:
+    return joined(element("div", element("code", short(digest))) for digest in digests)

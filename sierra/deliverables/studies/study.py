@@ -63,10 +63,12 @@ class Seen:
 
 def check(rule: Rule, project: LoadedProject, level: float) -> None:
     """Raise UsageError for a statistic that is unknown or has no interval of this confidence."""
-    for one in rule.conditions:
-        selection = Selection.of([one.statistic], project.config.statistics, level)
-        if not (selection.definitions and selection.statistics[one.statistic].interval):
-            raise UsageError(f"statistic {one.statistic!r} has no interval that could become narrow; see sierra stats --help")
+    for condition in rule.conditions:
+        selection = Selection.of([condition.statistic], project.config.statistics, level)
+        if not (selection.definitions and selection.statistics[condition.statistic].interval):
+            raise UsageError(
+                f"statistic {condition.statistic!r} has no interval that could become narrow; see sierra stats --help"
+            )
 
 
 def find_columns(store: Store, batch: str, rule: Rule) -> None:
@@ -101,14 +103,14 @@ def _table(frame: BatchData, condition: Condition) -> str:
             f"--until: the runs have no table {condition.table!r}; {like(condition.table, frame.names, 'they have')}"
         )
     outputs = frame.outputs({condition.table} if condition.table else None)
-    having = [one for one in outputs if condition.column in one.columns]
-    having = [one for one in having if one.name in frame.written] or having
+    having = [output for output in outputs if condition.column in output.columns]
+    having = [output for output in having if output.name in frame.written] or having
     if len(having) == 1:
         return having[0].name
     if having:
-        names = ", ".join(one.name for one in having)
+        names = ", ".join(output.name for output in having)
         raise NotFound(f"--until: several tables have a column {condition.column!r} ({names}); write TABLE.{condition.column}")
-    columns = list(dict.fromkeys(column for one in outputs for column in one.columns))
+    columns = list(dict.fromkeys(column for output in outputs for column in output.columns))
     of = f"table {condition.table!r} has" if condition.table else "the runs have"
     raise NotFound(f"--until: {of} no numeric column {condition.column!r}; {like(condition.column, columns, 'there are')}")
 
@@ -116,9 +118,9 @@ def _table(frame: BatchData, condition: Condition) -> str:
 def _rows(condition: Condition, table: pa.Table, ordinals: list[int]) -> Iterator[LookIntervalRow]:
     names = ("experiment", "n", *(f"{condition.statistic}{part}" for part in PARTS))
     columns = zip(*(table.column(name).to_pylist() for name in names), strict=True)
-    found = {experiment: values for experiment, *values in columns}
+    by_experiment = {experiment: values for experiment, *values in columns}
     for ordinal in ordinals:
-        n, value, low, high, method = found.get(ordinal, (0, None, None, None, None))
+        n, value, low, high, method = by_experiment.get(ordinal, (0, None, None, None, None))
         wanted = None if value is None else condition.wanted(value)
         half_width = None if low is None else (high - low) / 2
         holds, needed = False, None
@@ -137,7 +139,7 @@ SHOWN = 3
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """What is fixed before the first look."""
+    """The rule and the schedule of a study, which are fixed before the first look."""
 
     row: StudyRow
     rule: Rule
@@ -158,7 +160,7 @@ class Look:
 
     def as_dict(self) -> dict[str, object]:
         """Return the look for JSON."""
-        return {**self.row._asdict(), "intervals": [one._asdict() for one in self.intervals]}
+        return {**self.row._asdict(), "intervals": [interval._asdict() for interval in self.intervals]}
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,7 +175,7 @@ class Outcome:
     summary: Summary | None = None
     """The last batch that was executed now."""
     problem: str | None = None
-    """Why the recorded looks do not follow from the store any more, in one line; known of studies that are shown."""
+    """The reason why the recorded looks no longer follow from the store, in one line; known of studies that are shown."""
 
     @property
     def decision(self) -> Decision | None:
@@ -183,9 +185,9 @@ class Outcome:
     @property
     def needed(self) -> int | None:
         """Return the estimated runs per experiment with which the rule would hold; None if it holds, or without an estimate."""
-        open_ones = [one for one in self.looks[-1].intervals if not one.holds] if self.looks else []
-        known = [one.needed for one in open_ones if one.needed is not None]
-        return max(known) if known and len(known) == len(open_ones) else None
+        too_wide = [interval for interval in self.looks[-1].intervals if not interval.holds] if self.looks else []
+        known = [interval.needed for interval in too_wide if interval.needed is not None]
+        return max(known) if known and len(known) == len(too_wide) else None
 
     def as_dict(self) -> dict[str, object]:
         """Return the study for JSON, without the summary of the batch."""
@@ -199,7 +201,7 @@ class Outcome:
             "needed": self.needed,
             "problem": self.problem,
             "experiments": experiments,
-            "looks": [one.as_dict() for one in self.looks],
+            "looks": [look.as_dict() for look in self.looks],
         }
 
 
@@ -239,15 +241,15 @@ def conduct(
     The study is incomplete if a batch was interrupted, or left on a cluster. Raises NotFound for a rule that does not fit the
     runs, and SierraError if the project changes between two looks.
     """
-    made = _continued(store, planned)
+    study = _continued(store, planned)
     observer.notice(
-        f"study {short(made.row.study)}{' continues' if made.row.lamport else ''}: {wording.of_schedule(made.schedule)}"
+        f"study {short(study.row.study)}{' continues' if study.row.lamport else ''}: {wording.of_schedule(study.schedule)}"
     )
-    done = _recorded(store, made.row.study)
-    for text in _earlier(store, made, first):
+    done = _recorded(store, study.row.study)
+    for text in _earlier(store, study, first):
         observer.notice(text)
     summary, plan = None, first
-    for number, runs in enumerate(made.schedule, 1):
+    for number, runs in enumerate(study.schedule, 1):
         last = done.get(number)
         if last is not None and last.row.decision == Decision.more:
             continue
@@ -257,12 +259,12 @@ def conduct(
         if last is None or last.row.decision == Decision.stopped:
             if summary.interrupted or summary.detached or summary.missing:
                 break
-            made = _begun(store, made, summary)
-            last = done[number] = _look(project, store, made, plan, summary, number, observer)
-        observer.notice(wording.of_look(last, _values(first), len(made.schedule)))
+            study = _begun(store, study, summary)
+            last = done[number] = _record_look(project, store, study, plan, summary, number, observer)
+        observer.notice(wording.of_look(last, _values(first), len(study.schedule)))
         if last.row.decision != Decision.more:
             break
-    return Outcome(made, _ordered(done), _values(first), summary)
+    return Outcome(study, _ordered(done), _values(first), summary)
 
 
 def find(store: Store, study: str) -> Outcome | None:
@@ -270,9 +272,9 @@ def find(store: Store, study: str) -> Outcome | None:
     row = study_records.find(store, study)
     if row is None:
         return None
-    made = Design(row, until.parse(row.rule), tuple(study_records.schedule(row)))
+    planned = Design(row, until.parse(row.rule), tuple(study_records.schedule(row)))
     done = _ordered(_recorded(store, study))
-    return Outcome(made, done, _recorded_values(store, done[-1].row.batch) if done else {})
+    return Outcome(planned, done, _recorded_values(store, done[-1].row.batch) if done else {})
 
 
 def checked(project: LoadedProject, store: Store, outcome: Outcome) -> Outcome:
@@ -283,16 +285,16 @@ def checked(project: LoadedProject, store: Store, outcome: Outcome) -> Outcome:
     return outcome
 
 
-def _problem(project: LoadedProject, store: Store, made: Design, look: Look) -> str | None:
+def _problem(project: LoadedProject, store: Store, study: Design, look: Look) -> str | None:
     try:
-        now = see(project, store, look.row.batch, made.rule, look.row.level).intervals
+        now = see(project, store, look.row.batch, study.rule, look.row.level).intervals
     except SierraError as error:
         return f"cannot be computed again: {error}"
-    was = {(one.condition, one.ordinal): one for one in look.intervals}
-    for one in now:
-        if (before := was.get((one.condition, one.ordinal))) is None or before[3:7] != one[3:7]:
+    was = {(interval.condition, interval.ordinal): interval for interval in look.intervals}
+    for interval in now:
+        if (before := was.get((interval.condition, interval.ordinal))) is None or before[3:7] != interval[3:7]:
             seen = wording.of_interval(before) if before else "nothing"
-            return f"saw {seen}, but by the store as it is now: {wording.of_interval(one)} (n = {one.n})"
+            return f"saw {seen}, but by the store as it is now: {wording.of_interval(interval)} (n = {interval.n})"
     return None
 
 
@@ -302,18 +304,18 @@ def _continued(store: Store, planned: Design) -> Design:
     return replace(planned, row=row) if row else planned
 
 
-def _begun(store: Store, made: Design, summary: Summary) -> Design:
+def _begun(store: Store, study: Design, summary: Summary) -> Design:
     """Return a study that is recorded; record it first, if it is new. Raises NotFound if the rule does not fit the runs."""
-    if made.row.lamport:
-        return made
+    if study.row.lamport:
+        return study
     if not _without_success(summary):
-        find_columns(store, summary.batch, made.rule)
-    return replace(made, row=study_records.find(store, made.row.study) or _record(store, made.row))
+        find_columns(store, summary.batch, study.rule)
+    return replace(study, row=study_records.find(store, study.row.study) or _record(store, study.row))
 
 
 def _without_success(summary: Summary) -> list[Mapping[str, Value]]:
     """Return the experiments of which no run succeeded."""
-    return [one.values for one in summary.counts if not one.succeeded]
+    return [experiment.values for experiment in summary.counts if not experiment.succeeded]
 
 
 def _record(store: Store, row: Dated, others: Sequence[NamedTuple] = ()) -> Dated:
@@ -334,8 +336,8 @@ def _record(store: Store, row: Dated, others: Sequence[NamedTuple] = ()) -> Date
 def _recorded(store: Store, study: str) -> dict[int, Look]:
     """Return the recorded looks of a study by number."""
     rows = study_records.looks(store, study)
-    found = study_records.intervals(store, rows)
-    return {row.number: Look(row, tuple(found[row.look])) for row in rows}
+    intervals = study_records.intervals(store, rows)
+    return {row.number: Look(row, tuple(intervals[row.look])) for row in rows}
 
 
 def _ordered(done: Mapping[int, Look]) -> tuple[Look, ...]:
@@ -358,16 +360,16 @@ WHERE run = $run AND study <> $study ORDER BY study
 """
 
 
-def _earlier(store: Store, made: Design, first: Plan) -> Iterator[str]:
+def _earlier(store: Store, study: Design, first: Plan) -> Iterator[str]:
     """Yield a note on other studies that have looked at the same runs: this one's correction does not count their looks."""
-    found = store.values(str, OVERLAP, run=first.batch.runs[0].id, study=made.row.study)
-    if found:
-        known = few([short(study) for study in found], SHOWN)
+    others = store.values(str, OVERLAP, run=first.batch.runs[0].id, study=study.row.study)
+    if others:
+        known = few([short(other) for other in others], SHOWN)
         yield f"study {known} looked at the same runs; the intervals of this study are not corrected for those looks"
 
 
-def _look(
-    project: LoadedProject, store: Store, made: Design, plan: Plan, summary: Summary, number: int, observer: Observer
+def _record_look(
+    project: LoadedProject, store: Store, study: Design, plan: Plan, summary: Summary, number: int, observer: Observer
 ) -> Look:
     """Look at a batch, decide, and record both."""
     seen = Seen((), ())
@@ -375,40 +377,40 @@ def _look(
     if summary.failed:
         observer.notice(f"{counted(summary.failed, 'failed run')} of this look not counted")
     if not empty:
-        seen = see(project, store, plan.batch.id, made.rule, made.level)
+        seen = see(project, store, plan.batch.id, study.rule, study.level)
         for text in seen.notes:
             observer.notice(text)
-    decision, reason = _decide(made, plan, seen.intervals, empty, number)
+    decision, reason = _decide(study, plan, seen.intervals, empty, number)
     row = LookRow(
         look="",
-        study=made.row.study,
+        study=study.row.study,
         number=number,
         batch=plan.batch.id,
-        runs=made.schedule[number - 1],
-        level=made.level,
+        runs=study.schedule[number - 1],
+        level=study.level,
         decision=decision,
         reason=reason,
         decided=datetime.now(UTC),
         lamport=0,
     )
     row = row._replace(look=study_records.look_id(row, seen.intervals))
-    rows = [one._replace(look=row.look) for one in seen.intervals]
+    rows = [interval._replace(look=row.look) for interval in seen.intervals]
     return Look(_record(store, row, rows), tuple(rows))
 
 
 def _decide(
-    made: Design, plan: Plan, seen: Sequence[LookIntervalRow], empty: Sequence[Mapping[str, Value]], number: int
+    study: Design, plan: Plan, seen: Sequence[LookIntervalRow], empty: Sequence[Mapping[str, Value]], number: int
 ) -> tuple[Decision, str]:
     if empty:
         return Decision.stopped, f"no run of {wording.of_point(empty[0])} succeeded"
-    if all(one.holds for one in seen):
+    if all(interval.holds for interval in seen):
         return Decision.reached, "the rule holds in every experiment"
     reason = wording.of_worst(seen, _values(plan))
-    return (Decision.missed if number == len(made.schedule) else Decision.more), reason
+    return (Decision.missed if number == len(study.schedule) else Decision.more), reason
 
 
 def _values(plan: Plan) -> dict[int, Mapping[str, Value]]:
-    return {one.ordinal: one.values for one in plan.batch.experiments}
+    return {experiment.ordinal: experiment.values for experiment in plan.batch.experiments}
 
 
 def _recorded_values(store: Store, batch: str) -> dict[int, Mapping[str, Value]]:

@@ -31,22 +31,22 @@ def of_correction(alpha: float, level: float, looks: int) -> str:
     return f"each interval has the level {100 * level:.4g} %, so that all {looks} looks together have {whole} (Bonferroni)"
 
 
-def of_interval(one: LookIntervalRow) -> str:
+def of_interval(interval: LookIntervalRow) -> str:
     """Return an interval and its limit in words."""
-    column = one.condition.partition(" < ")[0].removeprefix("ci(").removesuffix(")")
-    if one.value is None:
+    column = interval.condition.partition(" < ")[0].removeprefix("ci(").removesuffix(")")
+    if interval.value is None:
         return f"{column} has no value"
-    if one.half_width is None or one.wanted is None:
-        return f"{column} has no interval with {one.n} runs"
-    if one.half_width == 0 and not one.holds:
-        return f"{column} is {one.value:.6g} in all {one.n} runs, and equal values show no width"
-    relation = "<" if one.holds else "≥"
-    return f"{column} is {one.value:.6g} ± {one.half_width:.4g} ({relation} {one.wanted:.4g})"
+    if interval.half_width is None or interval.wanted is None:
+        return f"{column} has no interval with {interval.n} runs"
+    if interval.half_width == 0 and not interval.holds:
+        return f"{column} is {interval.value:.6g} in all {interval.n} runs, and equal values show no width"
+    relation = "<" if interval.holds else "≥"
+    return f"{column} is {interval.value:.6g} ± {interval.half_width:.4g} ({relation} {interval.wanted:.4g})"
 
 
 def of_worst(seen: Sequence[LookIntervalRow], experiments: Mapping[int, Mapping[str, Value]]) -> str:
     """Return in words how many intervals are too wide, with the one that is furthest from its limit."""
-    wide = [one for one in seen if not one.holds]
+    wide = [interval for interval in seen if not interval.holds]
     worst = max(wide, key=_excess)
     count = f"{len(wide)} of {len(seen)} intervals" if len(seen) > 1 else "the interval"
     verb = "are" if len(wide) > 1 else "is"
@@ -54,10 +54,10 @@ def of_worst(seen: Sequence[LookIntervalRow], experiments: Mapping[int, Mapping[
     return f"{count} {verb} not narrow enough: {of_interval(worst)}{where}"
 
 
-def _excess(one: LookIntervalRow) -> float:
-    if not one.half_width or not one.wanted:
+def _excess(interval: LookIntervalRow) -> float:
+    if not interval.half_width or not interval.wanted:
         return float("inf")
-    return one.half_width / one.wanted
+    return interval.half_width / interval.wanted
 
 
 def of_look(look: Look, experiments: Mapping[int, Mapping[str, Value]], of: int) -> str:

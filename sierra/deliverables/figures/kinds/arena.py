@@ -114,8 +114,8 @@ class Matrix(DrawnKind[MatrixOptions]):
     def needs(self, request: Request) -> Needs:
         if len(request.columns) != 3:
             raise UsageError("a matrix needs three columns: of the number of the row, of the column, and of the value")
-        row, place, value = (f"{identifier(name)}::DOUBLE" for name in request.columns)
-        row, place = (place, row) if self.options.axes == "xy" else (row, place)
+        row, column, value = (f"{identifier(name)}::DOUBLE" for name in request.columns)
+        row, column = (column, row) if self.options.axes == "xy" else (row, column)
         chosen = ["true"]
         if self.options.run is not None:
             chosen.append(f'"# number" = {self.options.run}')
@@ -125,7 +125,7 @@ class Matrix(DrawnKind[MatrixOptions]):
         t = ', "# t" AS t' if several else ""
         statement = f"""\
 WITH cells AS (
-  SELECT "# experiment" AS experiment{t}, run, {row} AS i, {place} AS j, list_avg(list_sort(list({value}))) AS value
+  SELECT "# experiment" AS experiment{t}, run, {row} AS i, {column} AS j, list_avg(list_sort(list({value}))) AS value
   FROM data WHERE isfinite({value}) AND {" AND ".join(chosen)} GROUP BY ALL
 )
 SELECT experiment{", t" if several else ""}, i, j, list_avg(list_sort(list(value))) AS value, count(*) AS n
