@@ -140,7 +140,7 @@ class Csv(Text):
             return f"quotes are not closed: {head[:80]!r}"
         if all(reads_as_number(name) for name in names):
             return "numbers instead of column names (if the file has no header, set header = false in [outputs.…])"
-        names = tuple(name or f"column{place}" for place, name in enumerate(names))
+        names = tuple(name or f"column{index}" for index, name in enumerate(names))
         doubled = [name for name, count in Counter(names).items() if count > 1]
         if doubled:
             return f"the column {doubled[0]!r} occurs twice"

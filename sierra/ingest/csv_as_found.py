@@ -146,8 +146,8 @@ class CsvAsFound(Rewriter):
         without = (
             rb"^" + comment + rb"$|^" + blank + rb"(?:\n|(?<=[ \t\r])\Z)" if self._aligned else rb'"[^"]*"|^' + comment + rb"$"
         )
-        for found in re.compile(without, re.MULTILINE).finditer(content):
-            left_out += not found[0].startswith(b'"')
+        for match in re.compile(without, re.MULTILINE).finditer(content):
+            left_out += not match[0].startswith(b'"')
         joined = form.header_lines - 1 + form.units_row
         unended = bool(content) and not content.endswith(b"\n")
         return content.count(b"\n") + unended - left_out - joined if content else 0

@@ -77,8 +77,8 @@ class JsonDocument(Rewriter):
             return self._items(text, _pattern(keys, names), length) if names else length
         if names:
             return max(self._lengths(text, _pointer([*keys, *names])) or 0, 1)
-        found = self._asked("SELECT unnest(json_keys($text, $path))", text, _pointer(keys))
-        columns = [self._lengths(text, _pointer([*keys, str(key)])) for [key] in found]
+        column_keys = self._asked("SELECT unnest(json_keys($text, $path))", text, _pointer(keys))
+        columns = [self._lengths(text, _pointer([*keys, str(key)])) for [key] in column_keys]
         lengths = [length for length in columns if length is not None]
         return min(lengths, default=0) if len(lengths) == len(columns) else 1
 
@@ -159,41 +159,41 @@ def parsed(content: bytes) -> object:
     except RecursionError as error:
         raise UnreadableError("is nested too deeply") from error
     except json.JSONDecodeError as error:
-        place = f"line {error.lineno}, column {error.colno}: " if error.lineno > 1 else f"column {error.colno}: "
-        raise UnreadableError(f"{place}is truncated or not JSON ({error.msg})") from error
+        position = f"line {error.lineno}, column {error.colno}: " if error.lineno > 1 else f"column {error.colno}: "
+        raise UnreadableError(f"{position}is truncated or not JSON ({error.msg})") from error
     except ValueError as error:
         raise UnreadableError(str(error)) from error
 
 
-def flattened(one: Object) -> dict[str, object]:
+def flattened(json_object: Object) -> dict[str, object]:
     """Return an object with the values of nested objects, such as `pose.x`. Raises ValueError if a name occurs twice."""
-    found: dict[str, object] = {}
-    for key, value in one.items():
+    flat: dict[str, object] = {}
+    for key, value in json_object.items():
         inner = (
             {f"{key}{DOT}{name}": nested for name, nested in flattened(value).items()}
             if isinstance(value, dict)
             else {key: value}
         )
-        if twice := found.keys() & inner.keys():
+        if twice := flat.keys() & inner.keys():
             raise ValueError(f"two values are named {min(twice)!r}")
-        found |= inner
-    return found
+        flat |= inner
+    return flat
 
 
-def _unnested(one: Object, keys: Sequence[str]) -> Iterator[Object]:
+def _unnested(json_object: Object, keys: Sequence[str]) -> Iterator[Object]:
     """Yield an object for each item of the list at this place, with the item instead of the list."""
-    if not keys or (value := one.get(keys[0])) is None:
-        yield one
+    if not keys or (value := json_object.get(keys[0])) is None:
+        yield json_object
     elif len(keys) > 1:
         if not isinstance(value, dict):
             raise ValueError(f"{keys[0]!r} is not an object")
         for inner in _unnested(value, keys[1:]):
-            yield {**one, keys[0]: inner}
+            yield {**json_object, keys[0]: inner}
     elif not isinstance(value, list):
         raise ValueError(f"{keys[0]!r} is not a list")
     else:
         for item in value or [None]:
-            yield {**one, keys[0]: item}
+            yield {**json_object, keys[0]: item}
 
 
 def _part(document: object, rows: str) -> object:
@@ -215,8 +215,8 @@ def _objects_of(document: object, *, columns: bool) -> Sequence[Object]:
                     f"the column {name!r} has {length} values, but the first has {next(iter(lengths.values()))}"
                 )
         return [dict(zip(document, values, strict=True)) for values in zip(*document.values(), strict=True)]
-    found: list[object] = document if isinstance(document, list) else [document]
-    return [_object(one, f"item {number}: " if len(found) > 1 else "") for number, one in enumerate(found, 1)]
+    items: list[object] = document if isinstance(document, list) else [document]
+    return [_object(item, f"item {number}: " if len(items) > 1 else "") for number, item in enumerate(items, 1)]
 
 
 def _object(one: object, place: str) -> Object:

@@ -43,10 +43,10 @@ class Jsonl(Text):
             f"ELSE json_keys(json) END FROM {self._objects()}",
             files,
         )
-        found: dict[str, dict[str, None]] = {}
+        by_path: dict[str, dict[str, None]] = {}
         for path, keys in sorted(rows, key=lambda row: -len(row[1])):
-            found.setdefault(path, {}).update(dict.fromkeys(keys))
-        return found
+            by_path.setdefault(path, {}).update(dict.fromkeys(keys))
+        return by_path
 
     def _objects(self) -> str:
         return objects_given(FILE)

@@ -152,7 +152,10 @@ class OutputMatcher:
             if path in self._as_files:
                 return None
             taken = {*owners, *(known.lower() for known in self._outputs)}
-            first, name = name, next(one for n in count(2) if (one := f"{name}_{n}").lower() not in taken and check_name(one))
+            first, name = (
+                name,
+                next(numbered for n in count(2) if (numbered := f"{name}_{n}").lower() not in taken and check_name(numbered)),
+            )
             self.renamed[path] = f"{shown(path)!r} makes the table {name!r}, because the table {first!r} is that of {owner!r}"
         names[stem] = name
         return name

@@ -164,12 +164,12 @@ def _fault(line: bytes, groups: Groups, *, twice: bool) -> str:
 def _is_part(line: bytes, name: str, groups: Groups) -> str:
     """Return how the number in a group continues in the line, unless another group has that part; "" if it is whole."""
     start, end = _ends(groups[name])
-    found, before = line[start:end], max(start - BEFORE, 0)
+    number, before = line[start:end], max(start - BEFORE, 0)
     left = EXPONENT.search(line, before, start)
-    if not left and found[:1] not in b"+- ":
+    if not left and number[:1] not in b"+- ":
         left = BEGINS_EARLIER.search(line, before, start)
-    right = GOES_ON.match(line, end) if found[-1:] != b" " else None
-    if found.lstrip(b"+-") == b"0":
+    right = GOES_ON.match(line, end) if number[-1:] != b" " else None
+    if number.lstrip(b"+-") == b"0":
         right = right or HEXADECIMAL.match(line, end)
     if not (left or right) or not reads_as_number(_within(line, groups[name]).replace(",", ".")):
         return ""

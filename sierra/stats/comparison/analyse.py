@@ -185,7 +185,7 @@ def _unequal(cells: Sequence[Cell]) -> Iterator[str]:
 def _corrected(result: Analysis, method: ComparisonMethod) -> Analysis:
     """Return the result with p values that are corrected for all tests of their family together, and with verdicts."""
     equivalent = [pair.p_equivalent for pair in result.pairs if pair.p_equivalent is not None]
-    p = [one.p for one in result.pairs] + [one.p for one in result.effects] + equivalent
+    p = [pair.p for pair in result.pairs] + [effect.p for effect in result.effects] + equivalent
     adjusted, of_omnibus = iter(rank_tests.holm(p)), iter(rank_tests.holm([one.p for one in result.omnibus]))
     pairs = tuple(replace(one, p_adjusted=next(adjusted)) for one in result.pairs)
     effects = tuple(replace(one, p_adjusted=next(adjusted)) for one in result.effects)
