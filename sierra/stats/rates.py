@@ -110,8 +110,8 @@ def within(interval: Callable[[float], Interval], margin: float) -> float:
     low, high = 0.0, LARGEST_Z
     for _ in range(60):
         z = (low + high) / 2
-        found = interval(z)
-        low, high = (z, high) if -margin < found.low and found.high < margin else (low, z)
+        estimate = interval(z)
+        low, high = (z, high) if -margin < estimate.low and estimate.high < margin else (low, z)
     return math.erfc(low / math.sqrt(2)) / 2 if low < LARGEST_Z * (1 - 1e-9) else 0.0
 
 
@@ -142,8 +142,8 @@ def freeman_halton(groups: Sequence[tuple[int, int]]) -> tuple[float, bool]:
     """
     if sum(n for _, n in groups) > RUNS:
         return _drawn(groups), False
-    successes = sum(one for one, _ in groups)
-    observed = math.prod(math.comb(n, one) for one, n in groups)
+    successes = sum(k for k, _ in groups)
+    observed = math.prod(math.comb(n, k) for k, n in groups)
     states = {(0, 1): 1}
     """The number of tables by their successes and their product of binomial coefficients, group after group."""
     left = sum(n for _, n in groups)

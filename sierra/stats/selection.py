@@ -127,15 +127,15 @@ class Selection:
     def notes(self, table: pa.Table) -> list[str]:
         """Return notes on intervals that are missing because there are too few runs, and on bootstraps."""
         n = table.column("n").to_pylist()
-        found = []
+        notes = []
         for name, statistic in self.statistics.items():
             low = table.column(f"{name}_low").to_pylist()
             lacking = sum(end is None and count > 0 for end, count in zip(low, n, strict=True))
             if not statistic.interval:
-                found.append(f"{name} has no interval")
+                notes.append(f"{name} has no interval")
             elif lacking:
-                found.append(f"n is too small for the {100 * self.level:.4g} % interval of {name} in {counted(lacking, 'row')}")
-        return found
+                notes.append(f"n is too small for the {100 * self.level:.4g} % interval of {name} in {counted(lacking, 'row')}")
+        return notes
 
 
 def defined(name: str, statistic: Statistic, level: float) -> Formula | Function:
@@ -162,10 +162,10 @@ def with_estimates(table: pa.Table, name: str, estimates: Sequence[Estimate], me
     import pyarrow as pa
 
     columns = (
-        pa.array([one.value for one in estimates], pa.float64()),
-        pa.array([one.low for one in estimates], pa.float64()),
-        pa.array([one.high for one in estimates], pa.float64()),
-        pa.array([None if one.low is None else method for one in estimates], pa.string()),
+        pa.array([estimate.value for estimate in estimates], pa.float64()),
+        pa.array([estimate.low for estimate in estimates], pa.float64()),
+        pa.array([estimate.high for estimate in estimates], pa.float64()),
+        pa.array([None if estimate.low is None else method for estimate in estimates], pa.string()),
     )
     for part, column in zip(PARTS, columns, strict=True):
         table = table.append_column(f"{name}{part}", column)

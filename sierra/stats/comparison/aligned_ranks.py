@@ -69,7 +69,7 @@ def _effect(
     if df_error < 1:
         raise UsageError("there are too few runs for main effects and interactions: each combination needs two or more")
     explained = max(0.0, without - error)
-    name = " × ".join(names[place] for place in term)
+    name = " × ".join(names[factor] for factor in term)
     if error <= 1e-9 * max(1.0, without):
         none = explained <= 1e-9
         return Effect(name, 0.0 if none else np.inf, df, df_error, 1.0 if none else 0.0, 0.0 if none else 1.0)

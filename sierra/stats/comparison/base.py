@@ -55,7 +55,7 @@ class ComparisonMethod(Protocol):
     title: ClassVar[str]
     """The name of its test, as in `Mann-Whitney test`."""
     takes: ClassVar[frozenset[str]]
-    """What it can use, of `TAKES`; `pairs` or `samples` or both. Anything else is refused before it is called."""
+    """The inputs that it can use, of `TAKES`; `pairs` or `samples` or both. Any other is refused before it is called."""
     estimates: ClassVar[str]
     """Its differences, in the plural, as in `Hodges-Lehmann estimates`, for the figure and the text; empty if it has none."""
 

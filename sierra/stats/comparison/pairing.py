@@ -32,21 +32,21 @@ def decide(cells: Sequence[Cell], wanted: Paired) -> Pairing:
             raise UsageError("the groups have no seeds in common, so runs cannot be paired; leave out paired = true (--paired)")
         few = "few" if common else "no"
         return Pairing(False, f"the groups have {few} seeds in common, so runs are not compared as pairs")
-    found = correlation(cells)
+    coefficient = correlation(cells)
     if wanted is True:
-        return Pairing(True, "runs with the same seed are pairs, as requested", found)
-    if found is None:
+        return Pairing(True, "runs with the same seed are pairs, as requested", coefficient)
+    if coefficient is None:
         return Pairing(True, "runs with the same seed are pairs (common random numbers); a correlation cannot be computed")
-    if found > HELPFUL:
-        return Pairing(True, "runs with the same seed are pairs (common random numbers)", found)
-    if found < -2 / math.sqrt(common):
+    if coefficient > HELPFUL:
+        return Pairing(True, "runs with the same seed are pairs (common random numbers)", coefficient)
+    if coefficient < -2 / math.sqrt(common):
         return Pairing(
             True,
             "runs with the same seed are pairs, because they depend on each other; their negative correlation makes "
             "differences harder to show",
-            found,
+            coefficient,
         )
-    return Pairing(False, "runs with the same seed are not correlated, so they are not compared as pairs", found)
+    return Pairing(False, "runs with the same seed are not correlated, so they are not compared as pairs", coefficient)
 
 
 def common_seeds(samples: Sequence[Sample]) -> list[int]:

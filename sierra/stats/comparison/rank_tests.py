@@ -106,7 +106,7 @@ def mean_ranks_in_blocks(blocks: Floats) -> list[float]:
     return means
 
 
-def dunn(groups: Sequence[Floats], one: int, other: int) -> float:
+def dunn(groups: Sequence[Floats], i: int, j: int) -> float:
     """Return the p value of Dunn's test of two of the groups; it is not corrected for other tests."""
     from scipy import stats
 
@@ -117,8 +117,8 @@ def dunn(groups: Sequence[Floats], one: int, other: int) -> float:
     if variance <= 0:
         return 1.0
     means = mean_ranks(groups)
-    error = math.sqrt(variance * (1 / len(groups[one]) + 1 / len(groups[other])))
-    return float(2 * stats.norm.sf(abs(means[one] - means[other]) / error))
+    error = math.sqrt(variance * (1 / len(groups[i]) + 1 / len(groups[j])))
+    return float(2 * stats.norm.sf(abs(means[i] - means[j]) / error))
 
 
 @cache
@@ -139,8 +139,8 @@ def log_rank(first: Sequence[RunValue], second: Sequence[RunValue]) -> tuple[flo
     if not any(run.reached for run in (*first, *second)):
         return 0.0, 1.0
     with np.errstate(invalid="ignore", divide="ignore"):  # no variance: at each time all runs that are left ended
-        found = stats.logrank(_censored(first), _censored(second))
-    return (float(found.statistic), float(found.pvalue)) if np.isfinite(found.statistic) else (0.0, 1.0)
+        result = stats.logrank(_censored(first), _censored(second))
+    return (float(result.statistic), float(result.pvalue)) if np.isfinite(result.statistic) else (0.0, 1.0)
 
 
 def median_time(runs: Sequence[RunValue]) -> float | None:
