@@ -32,7 +32,7 @@ LEFT_NOTHING = "left no file in its working directory, but wrote "
 
 def failure(result: Result, outputs: Mapping[str, Output]) -> str | None:
     """Return why a run has failed of which all files are elsewhere; None if it has left some, or has written none."""
-    places = [place for place in result.elsewhere if not NO_RESULTS.fullmatch(place)]
+    places = [path for path in result.elsewhere if not NO_RESULTS.fullmatch(path)]
     if outputs or result.outputs or not places:
         return None
     return f"{LEFT_NOTHING}{few(places, NAMED)}"
@@ -46,14 +46,14 @@ def lacking(name: str, output: Output, places: Sequence[str], files: Collection[
     if pattern := open_names.patterns([[output.file], files]).get(output.file):
         other = next(file for file in files if fnmatch.fnmatchcase(file, pattern))
         return f"{reason}, but {other!r} ({open_names.advice([pattern], name)})"
-    found = [place for place in places if _is_of(output, place)]
-    return f"{reason} in its working directory, but {few(found, NAMED)}" if found else reason
+    own = [path for path in places if _is_of(output, path)]
+    return f"{reason} in its working directory, but {few(own, NAMED)}" if own else reason
 
 
-def _is_of(output: Output, place: str) -> bool:
+def _is_of(output: Output, path: str) -> bool:
     """Return whether a file would belong to an output if it were in the working directory."""
-    inside = place.removeprefix(HOME).removeprefix(RUN)
-    return output.matches(inside) or output.matches(PurePosixPath(place).name)
+    inside = path.removeprefix(HOME).removeprefix(RUN)
+    return output.matches(inside) or output.matches(PurePosixPath(path).name)
 
 
 def notes(places: Collection[str]) -> Iterator[str]:

@@ -191,5 +191,5 @@ def recorded(name: str, described: str) -> AbstractContextManager[None]:
 def make(name: str, described: str) -> OutputReader:
     """Return the reader of a format of another package; `described` is its entry of `Used`, as JSON."""
     with recorded(name, described):
-        made: OutputReader = READERS.make(name, {name: json.loads(described)["options"]})
-    return made
+        reader: OutputReader = READERS.make(name, {name: json.loads(described)["options"]})
+    return reader

@@ -222,8 +222,8 @@ def _stem(path: str) -> str:
 
 def claims(outputs: Mapping[str, Output], path: str) -> list[str]:
     """Return the outputs that a file belongs to: those that name it or have files in it, or else those whose pattern fits."""
-    found = [name for name, output in outputs.items() if output.matches(path)]
-    return [name for name in found if outputs[name].base == path or outputs[name].opens(path)] or found
+    claiming = [name for name, output in outputs.items() if output.matches(path)]
+    return [name for name in claiming if outputs[name].base == path or outputs[name].opens(path)] or claiming
 
 
 def claimed_twice(result: Result, outputs: Mapping[str, Output]) -> str | None:

@@ -71,19 +71,19 @@ class MatchingLines(CsvAsFound):
         changes = self._remade
         for first, lines in _blocks(source):
             matches = list(_matches(lines, self.shape.form.lines))
-            twice = self._twice([_text(lines[place]) for place, _ in matches])
-            for nth, (place, groups) in enumerate(matches):
-                if fault := _fault(lines[place], groups, twice=nth == twice):
-                    raise UnreadableError(f"line {first + place}: {fault}")
-                values = [_within(lines[place], span) for name, span in groups.items() if name != line_patterns.WHOLE]
-                yield first + place, csv_line([self._changed(value, first + place) for value in values] if changes else values)
+            twice = self._twice([_text(lines[index]) for index, _ in matches])
+            for nth, (index, groups) in enumerate(matches):
+                if fault := _fault(lines[index], groups, twice=nth == twice):
+                    raise UnreadableError(f"line {first + index}: {fault}")
+                values = [_within(lines[index], span) for name, span in groups.items() if name != line_patterns.WHOLE]
+                yield first + index, csv_line([self._changed(value, first + index) for value in values] if changes else values)
 
     def _twice(self, lines: Sequence[str]) -> int | None:
         """Return the place of the first line in which the pattern matches several times; None if there is none."""
-        [[place]] = (
+        [[index]] = (
             self.sql.execute(TWICE, {"lines": lines, "pattern": self.shape.form.lines}).fetchall() if lines else [[None]]
         )
-        return None if place is None else int(place)
+        return None if index is None else int(index)
 
     def count(self, source: OriginalFile, written: int) -> int:
         content, at, matching = source.content().removeprefix(BOM), 0, 0

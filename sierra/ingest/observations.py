@@ -94,10 +94,10 @@ def file_set(files: Iterable[tuple[str, str, str | None, int | None]]) -> str:
 def written(result: Result) -> tuple[str, ...]:
     """Return the names of all files that an execution is known to have written, but not among its outputs."""
     own = tuple(map(recorded_name, result.elsewhere))
-    found = _record(result)
-    if found is None:
+    record = _record(result)
+    if record is None:
         return own
-    return (*own, *(recorded_name(name) for name, use in found["written"] if use == WRITTEN))
+    return (*own, *(recorded_name(name) for name, use in record["written"] if use == WRITTEN))
 
 
 def recorded_name(name: str) -> str:

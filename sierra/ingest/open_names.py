@@ -71,7 +71,7 @@ def with_values(path: str, seed: int, values: Iterable[object]) -> str | None:
     parts = VALUES.split(path)
     if seed < SURE_SEED or str(seed) not in parts[1::2]:
         return None
-    return "".join("*" if place % 2 and float(part) in given else part for place, part in enumerate(parts))
+    return "".join("*" if index % 2 and float(part) in given else part for index, part in enumerate(parts))
 
 
 def of_robots(columns: Mapping[str, Collection[str]]) -> dict[str, str]:
@@ -107,7 +107,9 @@ def name_of(pattern: str) -> str:
 
 def advice(patterns: Iterable[str], name: str | None = None) -> str:
     """Return the declarations that make one table of the files of each pattern; `name` is that of the only one."""
-    declarations = [f"[outputs.{name or name_of(one)}] file = {json.dumps(one, ensure_ascii=False)}" for one in patterns]
+    declarations = [
+        f"[outputs.{name or name_of(pattern)}] file = {json.dumps(pattern, ensure_ascii=False)}" for pattern in patterns
+    ]
     names, make = (
         ("another name", "makes one table of them") if len(declarations) == 1 else ("other names", "make tables of them")
     )
