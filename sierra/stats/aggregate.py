@@ -466,13 +466,13 @@ def _t(most: int, level: float) -> list[float]:
 
 def _ordered(wanted: Iterable[str]) -> tuple[str, ...]:
     """Return the wanted statistics and those that their formulas use, in the order of `STATISTICS`; `n` always."""
-    found = {"n"}
+    used = {"n"}
     queue = list(wanted)
     while queue:
         name = queue.pop()
-        found.add(name)
+        used.add(name)
         queue += STATISTICS[name]
-    return tuple(name for name in STATISTICS if name in found)
+    return tuple(name for name in STATISTICS if name in used)
 
 
 @cache
@@ -496,9 +496,9 @@ def _values(columns: Mapping[str, Column], figure: Figure) -> pa.Table:
     """Return the finite values of runs: `experiment`, `run`, `value`, and for further columns `value_2` and so on."""
     steps = figure.times == "carry"
     first, *others = (reduced(column, figure.measure, figure.threshold, steps=steps) for column in columns.values())
-    for place, table in enumerate(others, 2):
+    for number, table in enumerate(others, 2):
         keys = ["experiment", "run"]
-        first = first.join(table.rename_columns([*keys, f"value_{place}"]), keys, join_type="inner")
+        first = first.join(table.rename_columns([*keys, f"value_{number}"]), keys, join_type="inner")
     return first.sort_by([("experiment", "ascending"), ("run", "ascending")]) if others else first
 
 

@@ -88,8 +88,8 @@ def of_pairs(pairs: Pairs, z: float) -> Interval:
     return square_and_add(first, second, _phi(pairs))
 
 
-def _length(one: float, other: float, phi: float) -> float:
-    return math.sqrt(max(0.0, one * one - 2 * phi * one * other + other * other))
+def _length(a: float, b: float, phi: float) -> float:
+    return math.sqrt(max(0.0, a * a - 2 * phi * a * b + b * b))
 
 
 def _phi(pairs: Pairs) -> float:
@@ -119,7 +119,7 @@ def fisher(first: tuple[int, int], second: tuple[int, int]) -> float:
     """Return the two-sided p value of Fisher's exact test; each is the number of successes and n."""
     from scipy import stats
 
-    return min(1.0, float(stats.fisher_exact([[one, n - one] for one, n in (first, second)]).pvalue))
+    return min(1.0, float(stats.fisher_exact([[k, n - k] for k, n in (first, second)]).pvalue))
 
 
 def smallest_fisher(first: int, second: int) -> float:
@@ -167,9 +167,9 @@ def _drawn(groups: Sequence[tuple[int, int]]) -> float:
     import numpy as np
     from scipy import special
 
-    found, n = (np.array(numbers) for numbers in zip(*groups, strict=True))
-    tables = np.random.default_rng(SEED).multivariate_hypergeometric(n, int(found.sum()), DRAWS)
-    every = np.vstack([found, tables])
+    observed, n = (np.array(numbers) for numbers in zip(*groups, strict=True))
+    tables = np.random.default_rng(SEED).multivariate_hypergeometric(n, int(observed.sum()), DRAWS)
+    every = np.vstack([observed, tables])
     logarithms = -(special.gammaln(every + 1) + special.gammaln(n - every + 1)).sum(axis=1)
     return float(np.mean(logarithms <= logarithms[0] + 1e-9))
 

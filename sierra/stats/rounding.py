@@ -70,8 +70,8 @@ def _shown(exponent: int) -> int:
 
 def _last(half: Decimal) -> int:
     """Return the power of ten of the second significant digit, after rounding: 0.0996 is 0.10, not 0.100."""
-    place = half.adjusted() - PRECISE + 1
-    return half.quantize(Decimal(1).scaleb(place)).adjusted() - PRECISE + 1
+    digit = half.adjusted() - PRECISE + 1
+    return half.quantize(Decimal(1).scaleb(digit)).adjusted() - PRECISE + 1
 
 
 def _text(value: float, exponent: int, last_digit: int, *, whole: bool = False) -> str:

@@ -77,7 +77,7 @@ def times(column: Column, threshold: float) -> dict[int, tuple[Time, ...]]:
     """Return the times of all runs that have a value, by experiment, in ascending order."""
     rows = column.sql(statement(), threshold=threshold).to_pylist()
     by_experiment = groupby(rows, key=lambda row: int(row["experiment"]))
-    return {experiment: tuple(Time(row["time"], row["reached"]) for row in found) for experiment, found in by_experiment}
+    return {experiment: tuple(Time(row["time"], row["reached"]) for row in runs) for experiment, runs in by_experiment}
 
 
 def curve(runs: Iterable[Time]) -> tuple[Step, ...]:
@@ -128,8 +128,8 @@ def _at_most_half(end: float | None) -> bool:
     return end is not None and end <= HALF
 
 
-def _first(found: Iterable[float]) -> float | None:
-    return next(iter(found), None)
+def _first(ascending: Iterable[float]) -> float | None:
+    return next(iter(ascending), None)
 
 
 def horizon(curves: Iterable[Sequence[Step]]) -> float:
@@ -166,17 +166,17 @@ def restricted_mean(steps: Sequence[Step], until: float, origin: float = 0.0) ->
 def estimates(curves: Mapping[int, Sequence[Step]], name: str) -> dict[int, Estimate]:
     """Return one of `STATISTICS` for each curve. The restricted means have the same τ, that of `horizon`."""
     if name == "km_median":
-        return {place: median(steps) for place, steps in curves.items()}
+        return {experiment: median(steps) for experiment, steps in curves.items()}
     until = horizon(curves.values())
     origin = min(0.0, *(steps[0].time for steps in curves.values()))
-    return {place: restricted_mean(steps, until, origin) for place, steps in curves.items()}
+    return {experiment: restricted_mean(steps, until, origin) for experiment, steps in curves.items()}
 
 
 def with_statistics(table: pa.Table, curves: Mapping[int, Sequence[Step]], names: Iterable[str]) -> pa.Table:
     """Return a table of experiments with the columns of these statistics."""
     for name in names:
-        found = estimates(curves, name) if curves else {}
-        rows = [found.get(place, Estimate(None)) for place in table.column("experiment").to_pylist()]
+        of_experiments = estimates(curves, name) if curves else {}
+        rows = [of_experiments.get(experiment, Estimate(None)) for experiment in table.column("experiment").to_pylist()]
         table = with_estimates(table, name, rows, STATISTICS[name])
     return table
 

@@ -93,7 +93,7 @@ def _subsets(places: Sequence[int]) -> Iterator[tuple[int, ...]]:
 
 def _columns(term: tuple[int, ...], codes: Codes, sizes: Sequence[int]) -> Floats:
     """Return the columns of an effect in the design matrix, with contrasts that sum to zero; of no factor, the constant."""
-    parts = [_contrasts(codes[place], sizes[place]) for place in term]
+    parts = [_contrasts(codes[factor], sizes[factor]) for factor in term]
     columns = [np.prod([np.ones(codes.shape[1]), *chosen], axis=0) for chosen in product(*(part.T for part in parts))]
     return np.column_stack(columns)
 

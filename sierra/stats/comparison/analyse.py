@@ -145,10 +145,10 @@ def _lacking(cell: Cell, *, lost: bool) -> str:
 
 def _checked(tests: CellResult, method: ComparisonMethod) -> CellResult:
     """Return the tests of a method. Raises SierraError for a p value that is none, which would make verdicts wrong."""
-    found = [pair.p for pair in tests.pairs] + [effect.p for effect in tests.effects]
-    found += [tests.omnibus.p] if tests.omnibus else []
-    found += [pair.p_equivalent for pair in tests.pairs if pair.p_equivalent is not None]
-    if wrong := [p for p in found if not 0 <= p <= 1]:
+    p_values = [pair.p for pair in tests.pairs] + [effect.p for effect in tests.effects]
+    p_values += [tests.omnibus.p] if tests.omnibus else []
+    p_values += [pair.p_equivalent for pair in tests.pairs if pair.p_equivalent is not None]
+    if wrong := [p for p in p_values if not 0 <= p <= 1]:
         raise SierraError(f"the {method.title} has the p value {wrong[0]:g}, which is not from 0 to 1")
     return tests
 

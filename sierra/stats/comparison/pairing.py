@@ -58,13 +58,13 @@ def blocks(samples: Sequence[Sample]) -> Floats:
     """Return the values of runs with common seeds: a row for each seed, a column for each sample."""
     seeds = common_seeds(samples)
     values = [{run.seed: run.value for run in sample.values} for sample in samples]
-    return np.array([[one[seed] for one in values] for seed in seeds], dtype=float).reshape(len(seeds), len(samples))
+    return np.array([[by_seed[seed] for by_seed in values] for seed in seeds], dtype=float).reshape(len(seeds), len(samples))
 
 
 def correlation(cells: Sequence[Cell]) -> float | None:
     """Return the mean rank correlation of all groups; None if no two groups vary."""
-    found = [one for cell in cells for one in _correlations(blocks(cell.samples))]
-    return float(np.mean(found)) if found else None
+    coefficients = [coefficient for cell in cells for coefficient in _correlations(blocks(cell.samples))]
+    return float(np.mean(coefficients)) if coefficients else None
 
 
 def _correlations(values: Floats) -> Iterator[float]:

@@ -58,9 +58,9 @@ def rank_sum(first: Floats, second: Floats, side: Side = "two-sided") -> float:
     return _tail(rank_distributions.of_choices(ranks, len(second)), int(ranks[len(first) :].sum()), side)
 
 
-def _tail(sums: Floats, found: int, side: Side) -> float:
-    """Return the probability of the found sum and of all that are more extreme."""
-    less, greater = float(sums[: found + 1].sum()), float(sums[found:].sum())
+def _tail(sums: Floats, observed: int, side: Side) -> float:
+    """Return the probability of the observed sum and of all that are more extreme."""
+    less, greater = float(sums[: observed + 1].sum()), float(sums[observed:].sum())
     return min(1.0, {"less": less, "greater": greater, "two-sided": 2 * min(less, greater)}[side])
 
 
@@ -80,8 +80,8 @@ def friedman(blocks: Floats) -> tuple[float, float]:
 
     if np.all(blocks == blocks[:, :1]):
         return 0.0, 1.0
-    found = stats.friedmanchisquare(*blocks.T)
-    return float(found.statistic), float(found.pvalue)
+    result = stats.friedmanchisquare(*blocks.T)
+    return float(result.statistic), float(result.pvalue)
 
 
 def kruskal(groups: Sequence[Floats]) -> tuple[float, float]:
@@ -90,8 +90,8 @@ def kruskal(groups: Sequence[Floats]) -> tuple[float, float]:
 
     if np.ptp(np.concatenate(groups)) == 0:
         return 0.0, 1.0
-    found = stats.kruskal(*groups)
-    return float(found.statistic), float(found.pvalue)
+    result = stats.kruskal(*groups)
+    return float(result.statistic), float(result.pvalue)
 
 
 def mean_ranks(groups: Sequence[Floats]) -> list[float]:
@@ -150,11 +150,11 @@ def median_time(runs: Sequence[RunValue]) -> float | None:
 
 def holm(p: Sequence[float]) -> list[float]:
     """Return p values that are corrected for the number of tests, in the order of `p`."""
-    order = sorted(range(len(p)), key=lambda place: p[place])
+    order = sorted(range(len(p)), key=lambda index: p[index])
     adjusted, worst = [1.0] * len(p), 0.0
-    for rank, place in enumerate(order):
-        worst = max(worst, min(1.0, p[place] * (len(p) - rank)))
-        adjusted[place] = worst
+    for rank, index in enumerate(order):
+        worst = max(worst, min(1.0, p[index] * (len(p) - rank)))
+        adjusted[index] = worst
     return adjusted
 
 

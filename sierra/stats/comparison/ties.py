@@ -78,4 +78,4 @@ def noise(values: Floats) -> float:
 def minus(values: Floats, others: Floats) -> Floats:
     """Return differences, as those of the shortest decimals that stand for the floats."""
     pairs = zip(values.tolist(), others.tolist(), strict=True)
-    return np.array([float(Decimal(repr(one)) - Decimal(repr(other))) for one, other in pairs], dtype=float)
+    return np.array([float(Decimal(repr(value)) - Decimal(repr(other))) for value, other in pairs], dtype=float)

@@ -120,19 +120,19 @@ def _pairing(result: Analysis) -> str:
 
 def _effect(effect: Effect) -> str:
     kind = "interaction" if "×" in effect.name else "main effect"
-    found = f"F({effect.df}, {effect.df_error}) = {number(effect.f)}, {p_value(effect.p_adjusted)}"
-    return f"The {kind} of {effect.name}: {found}, partial η² = {effect.eta:.2f}."
+    details = f"F({effect.df}, {effect.df_error}) = {number(effect.f)}, {p_value(effect.p_adjusted)}"
+    return f"The {kind} of {effect.name}: {details}, partial η² = {effect.eta:.2f}."
 
 
-def _omnibus(one: Omnibus, result: Analysis) -> str:
-    shown = one.p_adjusted <= result.question.alpha
+def _omnibus(test: Omnibus, result: Analysis) -> str:
+    shown = test.p_adjusted <= result.question.alpha
     differ = "at least one group differs" if shown else "no difference among all groups was shown"
     critical = ""
-    if one.critical_difference is not None:
-        critical = f"; critical difference of mean ranks {number(one.critical_difference)}"
-    statistic = "" if one.statistic is None else f"χ²({one.df}) = {number(one.statistic)}, "
-    found = f"{statistic}n = {one.n}, {p_value(one.p_adjusted)}"
-    return _sentence(f"{where(one.point)}{differ} ({one.test}, {found}{critical})")
+    if test.critical_difference is not None:
+        critical = f"; critical difference of mean ranks {number(test.critical_difference)}"
+    statistic = "" if test.statistic is None else f"χ²({test.df}) = {number(test.statistic)}, "
+    details = f"{statistic}n = {test.n}, {p_value(test.p_adjusted)}"
+    return _sentence(f"{where(test.point)}{differ} ({test.test}, {details}{critical})")
 
 
 def _pair(pair: Pair, result: Analysis) -> str:
