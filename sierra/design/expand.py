@@ -140,10 +140,14 @@ class Expansion:
     def _files(self, cell: Cell, render: Renderers, number: int, seed: int) -> Files:
         lists = {name: values[number % len(values)] for name, values in self._design.lists.items()}
         values = {**cell.values, **lists, "seed": seed, "run": number}
-        files = self._made(render[ROBOT], values) if self._robots is None else self._of_robots(self._robots, render, values)
+        files = (
+            self._files_of_input(render[ROBOT], values)
+            if self._robots is None
+            else self._of_robots(self._robots, render, values)
+        )
         return (*files, *given) if (given := self._given.files(values)) else files
 
-    def _made(self, render: Renderer, values: Mapping[str, Value]) -> Files:
+    def _files_of_input(self, render: Renderer, values: Mapping[str, Value]) -> Files:
         """Return the files of one input."""
         rendered = render(values)
         files = self._platform.files(rendered) if isinstance(rendered, bytes) else _named(rendered, self._platform)
@@ -152,11 +156,11 @@ class Expansion:
     def _of_robots(self, table: RobotsTable, render: Renderers, values: Mapping[str, Value]) -> Files:
         """Return the input files of a run on robots."""
         if self._alike:
-            files = self._made(render[ROBOT], {**values, robots.VALUE: 1})
+            files = self._files_of_input(render[ROBOT], {**values, robots.VALUE: 1})
             return robots.inputs(robots.places(table, values), lambda place: files)
 
         def made(place: robots.Place) -> Files:
-            return self._made(render.get(place.group, render[ROBOT]), {**values, robots.VALUE: place.number})
+            return self._files_of_input(render.get(place.group, render[ROBOT]), {**values, robots.VALUE: place.number})
 
         return robots.inputs(robots.places(table, values), made)
 

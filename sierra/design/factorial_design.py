@@ -297,10 +297,10 @@ def _check_independent(spanned: Sequence[Spanned]) -> None:
     A controller or scenario may set what a point of another axis replaces.
     """
     setters: dict[tuple[str, str | None] | None, str] = {}
-    replaced = {_place(change) for _, points in spanned for point in points for change in point.replaces}
+    replaced = {_target(change) for _, points in spanned for point in points for change in point.replaces}
     for axis, points in spanned:
         for change in {change for point in points for change in point.changes if isinstance(change, Set | Repeat)}:
-            target = _place(change)
+            target = _target(change)
             if axis.name in GROUPED and target in replaced:
                 continue
             other = setters.setdefault(target, axis.name)
@@ -308,7 +308,7 @@ def _check_independent(spanned: Sequence[Spanned]) -> None:
                 raise QueryError(f"{other!r} and {axis.name!r} both set {change.path!r}; use only one of them")
 
 
-def _place(change: Change) -> tuple[str, str | None] | None:
+def _target(change: Change) -> tuple[str, str | None] | None:
     if isinstance(change, Repeat):  # all items of the list
         return re.sub(r"\[[^\]]*\]$", "", change.path), "repeat"
     return (change.path, change.attribute) if isinstance(change, Set) else None

@@ -26,17 +26,19 @@ OWN_PORT = regex(r"(?<!\{)\{port\}")
 PORT_LIKE = regex(r"(?<!\{)\{services\.[^{}]*\}")
 
 
-def declared(config: Project, root: Path, values: Declared, *, contained: bool = False, made: Sequence[str] = ()) -> Around:
+def declared(config: Project, root: Path, values: Declared, *, contained: bool = False, produced: Sequence[str] = ()) -> Around:
     """Return what is executed around the command, in the form that is part of a run's identity.
 
-    `values` and `made`: see `commands.command`. Raises ConfigError for an unknown placeholder, service or path, and QueryError
-    for a variable that the query does not vary.
+    `values` and `produced`: see `commands.command`. Raises ConfigError for an unknown placeholder, service or path, and
+    QueryError for a variable that the query does not vary.
     """
 
     of_run = (*KNOWN, *PORT_NAMES, *values.names)
 
     def words(name: str, argv: Iterable[str], known: Sequence[str] = of_run) -> tuple[str, ...]:
-        return commands.checked(argv, root, name, known, contained=contained, made=made, declared=values, project=config)
+        return commands.checked(
+            argv, root, name, known, contained=contained, produced=produced, declared=values, project=config
+        )
 
     def service(name: str, table: ServiceTable) -> Service:
         here, shared = f"[services.{name}]", table.scope == "batch"

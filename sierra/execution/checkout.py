@@ -35,21 +35,21 @@ def programs_in(
     data: Programs = NOTHING,
     project: Path | None = None,
     *,
-    made: AbstractSet[str] = frozenset(),
+    products: AbstractSet[str] = frozenset(),
 ) -> Programs:
     """Return the programs that a spec's command starts, with the code in `root`, and the files that they need.
 
-    `data` are the files that nothing in the spec names. `project` is the user's project folder. `made` are the names of the
+    `data` are the files that nothing in the spec names. `project` is the user's project folder. `products` are the names of the
     products of a build: of the other files in their folders, only those count that a word names itself. Raises Missing.
     """
     variables = spec.environment
     if spec.image is not None or spec.robots is not None:  # the programs are in the image, or on the robots
-        return _without_leftovers(_beside_image(spec, manifest, root, data), spec, data, made)
+        return _without_leftovers(_beside_image(spec, manifest, root, data), spec, data, products)
     files = _named(spec, manifest, root, data, project)
     words, *around = (commands.fill(argv, root, project=project) for argv in (spec.command, *spec.around.commands))
     declared = commands.declared(variables, root, project)
     used = programs.find(words, declared, root, files, project=project, around=around, named=commands.named_programs(spec))
-    return _without_leftovers(programs.of_project(used, (root, project or root)), spec, data, made)
+    return _without_leftovers(programs.of_project(used, (root, project or root)), spec, data, products)
 
 
 def _without_leftovers(used: Programs, spec: RunSpec, data: Programs, produced: AbstractSet[str]) -> Programs:
@@ -63,11 +63,11 @@ def _without_leftovers(used: Programs, spec: RunSpec, data: Programs, produced: 
     kept = {program.path for program in data.all}
     words = commands.on_hosts((*spec.words, *spec.environment.values()), spec)
 
-    def counts(one: Program) -> bool:
-        name = one.name.removeprefix(IN_PROJECT)
-        if one.kind is not Kind.FILE or name == one.name or name in produced or one.path in kept:
+    def counts(program: Program) -> bool:
+        name = program.name.removeprefix(IN_PROJECT)
+        if program.kind is not Kind.FILE or name == program.name or name in produced or program.path in kept:
             return True
-        return folders.isdisjoint(PurePosixPath(name).parents) or any(one.name in word for word in words)
+        return folders.isdisjoint(PurePosixPath(name).parents) or any(program.name in word for word in words)
 
     return replace(used, all=tuple(program for program in used.all if counts(program)))
 
@@ -229,7 +229,7 @@ class Checkout:
         kept = (name for name, kind in self.used if kind == Kind.FILE and (not contained or name.startswith(IN_PROJECT)))
         files = referenced_files.existing(kept, root)
         files = replace(files, all=(*files.all, *self.mounted.all))
-        return programs_in(self.spec, self.manifest, root, files, self.project, made=self.built.keys())
+        return programs_in(self.spec, self.manifest, root, files, self.project, products=self.built.keys())
 
     def programs(self) -> Programs:
         """Return `programs_in` for a temporary checkout, which is removed again."""

@@ -110,13 +110,13 @@ def command(
     root: Path,
     *,
     contained: bool = False,
-    made: Sequence[str] = (),
+    produced: Sequence[str] = (),
     declared: Declared = Declared(),  # noqa: B008 - it is immutable
     project: Project | None = None,
 ) -> tuple[str, ...]:
     """Return the command as it is part of a run's identity.
 
-    `made` are the patterns of files that a build makes: their names are names of files in the project even before it.
+    `produced` are the patterns of files that a build makes: their names are names of files in the project even before it.
     `declared` is what variables give to the command. `project` says which templates there are; None: one.
 
     Raises ConfigError for an unknown placeholder, or for a path that does not exist in a container. Raises QueryError for a
@@ -126,40 +126,40 @@ def command(
     known = (*own, *PORT_NAMES, *declared.names)
     given = project.robots.command if project is not None and project.robots else ()
     words = _with_arguments(given or platform.command(), declared.arguments)
-    return checked(words, root, "command", known, contained=contained, made=made, declared=declared, project=project)
+    return checked(words, root, "command", known, contained=contained, produced=produced, declared=declared, project=project)
 
 
 def checked(
     argv: Iterable[str],
     root: Path,
-    place: str,
+    key: str,
     known: Sequence[str],
     *,
     contained: bool,
-    made: Sequence[str],
+    produced: Sequence[str],
     declared: Declared,
     project: Project | None,
 ) -> tuple[str, ...]:
-    """Return the words of a command in the form that is part of a run's identity. Messages name its `place`.
+    """Return the words of a command in the form that is part of a run's identity. Messages name its `key`.
 
     Raises ConfigError for a placeholder that is not `known`, or for a path that does not exist in a container. Raises
     QueryError for a variable that the query does not vary.
     """
-    words = tuple(_in_project(word, root, made) for word in argv)
-    words = tuple(_with_inputs(word, project, place) for word in words) if project else words
-    _check_values(words, declared, place)
+    words = tuple(_in_project(word, root, produced) for word in argv)
+    words = tuple(_with_inputs(word, project, key) for word in words) if project else words
+    _check_values(words, declared, key)
     for word in words:
         if contained and ABOVE.search(word):
             raise ConfigError(
-                f"{place}: {word!r} is outside of the project, which is all that a container sees; add it to [container] mounts"
+                f"{key}: {word!r} is outside of the project, which is all that a container sees; add it to [container] mounts"
             )
         if "arguments" in known and SPLICED in word.replace(f"{{{SPLICED}}}", "") and word != SPLICED:
-            raise ConfigError(f"{place}: {SPLICED} expands to several words; write it as a separate word, not {word!r}")
+            raise ConfigError(f"{key}: {SPLICED} expands to several words; write it as a separate word, not {word!r}")
         for name in (*(name for _, name in PLACEHOLDER.findall(word)), *NUMBERED_PORT.findall(word)):
             if name and name not in known:
                 listed = ", ".join("{" + name + "}" for name in known if name not in PORT_NAMES[1:])
                 hint = f"known are {listed}; write {{{{{name}}}}} for the text {{{name}}}"
-                raise ConfigError(f"{place}: unknown placeholder {{{name}}} in {word!r}; {hint}")
+                raise ConfigError(f"{key}: unknown placeholder {{{name}}} in {word!r}; {hint}")
     return words
 
 
@@ -203,9 +203,9 @@ def _with_inputs(word: str, project: Project, where: str) -> str:
     return ONE_INPUT.sub(filled, word)
 
 
-def _check_varied(name: str, declared: Declared, place: str) -> None:
+def _check_varied(name: str, declared: Declared, key: str) -> None:
     if name in declared.others:
-        raise QueryError(f'{place} uses {{{name}}}; add {name}=… to the query, or give the variable an "argument"')
+        raise QueryError(f'{key} uses {{{name}}}; add {name}=… to the query, or give the variable an "argument"')
 
 
 def _check_values(words: Sequence[str], declared: Declared, where: str) -> None:
@@ -468,11 +468,11 @@ class CommandBuilder:
     def _members(self, files: Files, seed: str, own: Mapping[str, str]) -> Iterator[Member]:
         """Yield the parts of all robots in a run."""
         listed = robots.read(files)
-        count = str(sum(place.number != BASE for place, _ in listed))
+        count = str(sum(robot.number != BASE for robot, _ in listed))
         groups = self._spec.robots or {}
-        for place, theirs in listed:
-            given, number = run_values.read(theirs), str(place.number)
-            command = groups.get(place.group, self._spec.command)
+        for robot, theirs in listed:
+            given, number = run_values.read(theirs), str(robot.number)
+            command = groups.get(robot.group, self._spec.command)
             values = self._values(theirs, seed, {**given.values, robots.VALUE: number})
             argv = self._argv(command, theirs, values)
             texts = with_texts(self._environment.values(), {robots.VALUE: number})
@@ -485,7 +485,7 @@ class CommandBuilder:
                 "SIERRA_ROBOTS": count,
                 **given.environment,
             }
-            yield Member(place.number, place.group, argv, variables, theirs, self._folders(theirs))
+            yield Member(robot.number, robot.group, argv, variables, theirs, self._folders(theirs))
 
     def _folders(self, files: Files) -> Mapping[str, str] | None:
         """Return the paths for the marks of folders in input files; None if there are no marks. Raises ConfigError."""
@@ -542,23 +542,23 @@ class CommandBuilder:
         def words(given: Iterable[str], own: Mapping[str, str] | None = None) -> tuple[str, ...]:
             return self._located(self._fill(given, {**values, **(own or {})}))
 
-        def service(one: Service) -> conductor.Service:
-            own = {"port": PORT_MARK.format(one.name)}
-            kind, *ready = one.ready
+        def service(spec: Service) -> conductor.Service:
+            own = {"port": PORT_MARK.format(spec.name)}
+            kind, *ready = spec.ready
             test = words(ready, own) if kind == "command" else tuple(ready)
             if kind in ("file", "port"):
                 test = self._fill(ready, {**values, **own})
-            timeout = self._timeouts.get(one.name, READY_S)
-            return {"name": one.name, "argv": words(one.command, own), "ready": (kind, *test), "timeout": timeout}
+            timeout = self._timeouts.get(spec.name, READY_S)
+            return {"name": spec.name, "argv": words(spec.command, own), "ready": (kind, *test), "timeout": timeout}
 
         around = self._spec.around
         plan: conductor.Plan = {
-            "shared": [service(one) for one in around.services if one.shared],
+            "shared": [service(spec) for spec in around.services if spec.shared],
             "observed": self._observed,
-            "services": [service(one) for one in around.services if not one.shared],
-            "before": [words(one) for one in around.before],
+            "services": [service(spec) for spec in around.services if not spec.shared],
+            "before": [words(given) for given in around.before],
             "argv": argv,
-            "after": [words(one) for one in around.after],
+            "after": [words(given) for given in around.after],
             "success": self._success,
             "grace": self._bounds.grace_s,
         }
@@ -597,8 +597,8 @@ class CommandBuilder:
         return Mount(str(self._programs), PROGRAM)
 
 
-def _in_project(word: str, root: Path, made: Sequence[str]) -> str:
-    """Return `{project}/sim.py` for `sim.py` if that file exists in `root`, or if a pattern in `made` matches it.
+def _in_project(word: str, root: Path, produced: Sequence[str]) -> str:
+    """Return `{project}/sim.py` for `sim.py` if that file exists in `root`, or if a pattern in `produced` matches it.
 
     Paths like `../build/sim` work too, and `bin/{arch}/sim` if there is such a file for any processor.
     """
@@ -606,7 +606,7 @@ def _in_project(word: str, root: Path, made: Sequence[str]) -> str:
         return word
     names = dict.fromkeys(word.replace(processors.ARCH, name) for name in processors.NAMES)
     try:
-        exists = any(matches(word, pattern) for pattern in made) or any((root / name).is_file() for name in names)
+        exists = any(matches(word, pattern) for pattern in produced) or any((root / name).is_file() for name in names)
     except (OSError, ValueError):
         return word
     return IN_PROJECT + word.removeprefix("./") if exists else word

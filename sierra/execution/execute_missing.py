@@ -390,7 +390,7 @@ class Executor:
             while not signals and sessions.others(self.session.store, self.session.id) & wanted:
                 if self._step and time.monotonic() > give_up:
                     raise Missing(
-                        f"{self._others(wanted)} executes these {self._step.runs}; stop it, or wait until it has ended"
+                        f"{self._holders(wanted)} executes these {self._step.runs}; stop it, or wait until it has ended"
                     )
                 self._counter.report(0, elsewhere=len(wanted))
                 time.sleep(JOIN_S)
@@ -402,7 +402,7 @@ class Executor:
         self.interrupted = bool(signals)
         return None
 
-    def _others(self, wanted: AbstractSet[str]) -> str:
+    def _holders(self, wanted: AbstractSet[str]) -> str:
         """Return the processes that execute these runs, in words."""
         holders = [paths for paths in sessions.all_of(self.session.store) if sessions.claims(paths) & wanted]
         return few([f"{sessions.holder(paths)} (session {paths.root.name})" for paths in holders], NOTED) or "another session"

@@ -111,7 +111,7 @@ class _Follower:
         """
         alive, handled = True, 0
         while alive:
-            look = self._look()
+            look = self._poll()
             self._take(look)
             if self._recorder.due():
                 self._count_failed(self._recorder.flush())
@@ -134,14 +134,14 @@ class _Follower:
     def _leave(self) -> None:
         """Leave the jobs to continue without this process, and take the results that they have until then."""
         self._runner.leave()
-        look = self._look()
+        look = self._poll()
         self._take(look)
         while look.results:
-            look = self._look()
+            look = self._poll()
             self._take(look)
         self.left = look.alive
 
-    def _look(self) -> Look:
+    def _poll(self) -> Look:
         """Return the runner's new results. If the runner cannot continue, record its results first and raise its error."""
         try:
             look = self._runner.look()

@@ -47,13 +47,15 @@ def _check(config: Project) -> None:
 
 def _check_changes(config: Project) -> None:
     """Raise ConfigError for `{robot}` in a change that is made once for all runs of an experiment."""
-    tables = {"changes": config.changes} | {f"variables.{name}": one.changes for name, one in config.variables.items()}
+    tables = {"changes": config.changes} | {
+        f"variables.{name}": variable.changes for name, variable in config.variables.items()
+    }
     for kind, groups in (("controllers", config.controllers), ("scenarios", config.scenarios)):
         tables |= {f"{kind}.{name}": group.changes for name, group in groups.items()}
-    for place, of_place in tables.items():
-        if any(mentions(change, robots.VALUE) for change in changes(of_place, place, "")):
+    for key, table in tables.items():
+        if any(mentions(change, robots.VALUE) for change in changes(table, key, "")):
             raise ConfigError(
-                f"{place}: {{{robots.VALUE}}} differs between the robots of a run; use it in run_changes, or in the changes of "
+                f"{key}: {{{robots.VALUE}}} differs between the robots of a run; use it in run_changes, or in the changes of "
                 "[robots.groups.NAME]"
             )
 
@@ -75,7 +77,7 @@ def _of_robots(name: str, output: Output) -> Output:
 
 
 def of_groups(
-    config: Project, root: Path, declared: Declared, made: Iterable[str] = (), *, contained: bool = False
+    config: Project, root: Path, declared: Declared, produced: Iterable[str] = (), *, contained: bool = False
 ) -> Mapping[str, tuple[str, ...]] | None:
     """Return the commands of groups of places in the form that is part of a run's identity; None for runs without robots.
 
@@ -85,10 +87,10 @@ def of_groups(
         return None
 
     def checked(group: str, argv: tuple[str, ...]) -> tuple[str, ...]:
-        place = f"[robots.{group}] command" if group == "base" else f"[robots.groups.{group}] command"
+        key = f"[robots.{group}] command" if group == "base" else f"[robots.groups.{group}] command"
         known = (*commands.KNOWN_ON_ROBOTS, *declared.names)
         return commands.checked(
-            argv, root, place, known, contained=contained, made=tuple(made), declared=declared, project=config
+            argv, root, key, known, contained=contained, produced=tuple(produced), declared=declared, project=config
         )
 
     return {group: checked(group, argv) for group, argv in config.robots.commands.items()}

@@ -135,7 +135,7 @@ MINE_UNREAD = """
 CREATE OR REPLACE TEMP TABLE mine AS SELECT arg_max(judgement, lamport) AS judgement FROM all_judgements
 WHERE purpose = 'run' AND status = 'mismatch' AND run IN (SELECT run FROM batch_runs WHERE batch = $batch) GROUP BY run
 """
-"""If no run was successful: those whose tables could not be read."""
+"""The executions whose tables could not be read, which are listed if no run was successful."""
 COUNT = "SELECT count(*) FROM mine"
 LAYOUTS = """
 SELECT output, table_layout, arg_min(path, (starts_with(path, '0/'), path)) AS path
@@ -208,8 +208,8 @@ def taken(store: Store, batch: str, outputs: Mapping[str, Output], *, inside: bo
         contents = {row.output: row for row in snapshot.select(_Content, CONTENTS)}
         rows = snapshot.select(_Unread, UNREAD)
         places: dict[str, set[int]] = {}
-        for alike, place in snapshot.run(VARYING) if any(row.files > 1 for row in rows) else ():
-            places.setdefault(alike, set()).add(place)
+        for alike, position in snapshot.run(VARYING) if any(row.files > 1 for row in rows) else ():
+            places.setdefault(alike, set()).add(position)
     tables = tuple(
         replace(table, keys=_keys(store, contents[table.name])) if inside and _is_undeclared_csv(table) else table
         for table in tables
@@ -315,7 +315,7 @@ def _columns(snapshot: Snapshot, layouts: Iterable[_Layout], declared: Output | 
     snapshot.views.make((name,))
     described = {row[0]: row[1] for row in snapshot.run(f"DESCRIBE {identifier(name)}")}
     own = {stored: sql for stored, sql in snapshot.views.sql_names.get(name.lower(), {}).items() if stored not in OWN}
-    units = {**(declared.units if declared else {}), **{one: "ns" for row in layouts for one in _durations(row)}}
+    units = {**(declared.units if declared else {}), **{column: "ns" for row in layouts for column in _durations(row)}}
     originals: dict[str, str] = {}
     for naming in (column_names, stored_names):  # the first one for records of earlier versions
         for row in layouts:

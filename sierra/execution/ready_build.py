@@ -112,7 +112,7 @@ def _build(plan: Plan, state: BuildState, store: Store, observer: Observer) -> N
     recipe, root = state.recipe, plan.project.root
     _check_outside(plan, state, [product.name for product in state.products])
     observer.notice(f"building, because {state.reason}")
-    place = Place(root, plan.project, plan.engine, images.here(plan.image))
+    location = Place(root, plan.project, plan.engine, images.here(plan.image))
     session = Session(store.paths, logged=False)
     try:
         session.take_number()
@@ -120,11 +120,11 @@ def _build(plan: Plan, state: BuildState, store: Store, observer: Observer) -> N
             store.paths.build_lock.write_text(json.dumps({"session": session.id, "engine": plan.engine.name}))
         _move_aside(root, state, store)
         try:
-            ended = _checked(plan, state, perform(recipe, place, store, session))
+            ended = _checked(plan, state, perform(recipe, location, store, session))
             ended = _really_built(_without_others(ended, root, store), state, store)
         finally:
             _put_back(root, store)
-        record(recipe, ended, place, store, session, batch=plan.batch.id, purpose=Purpose.RUN)
+        record(recipe, ended, location, store, session, batch=plan.batch.id, purpose=Purpose.RUN)
         if ended.reason is not None:
             raise failure(ended, store, session)
     finally:

@@ -25,7 +25,7 @@ from sierra.design.query.query_request import QueryRequest
 from sierra.errors import ConfigError, Missing
 from sierra.execution import around, commands, input_texts, members, plan_notes, project_source, resolve_query, shared_files
 from sierra.execution.build import recipe as build_recipe
-from sierra.execution.build.state import BuildState, look
+from sierra.execution.build.state import BuildState, compare_products
 from sierra.execution.checkout import Checkout, programs_in
 from sierra.execution.plan import Plan
 from sierra.ingest.base import used as used_readers
@@ -130,8 +130,10 @@ def _plan(project: LoadedProject, request: QueryRequest, engine: str | None, rep
     box = config.container if image else None
     produced = config.build.produces if config.build else ()
     declared = run_values.declared(config, _named_values(query, config))
-    command = commands.command(platform, root, contained=image is not None, made=produced, declared=declared, project=config)
-    surroundings = around.declared(config, root, declared, contained=image is not None, made=produced)
+    command = commands.command(
+        platform, root, contained=image is not None, produced=produced, declared=declared, project=config
+    )
+    surroundings = around.declared(config, root, declared, contained=image is not None, produced=produced)
     around.check_ports(config, command, surroundings)
     groups = members.of_groups(config, root, declared, produced, contained=image is not None)
     variables = commands.environment(platform, config, declared, contained=box is not None)
@@ -254,7 +256,7 @@ def _build_state(project: LoadedProject, spec: RunSpec, code: source.Source, eng
     recipe = build_recipe.complete(build_recipe.declared(table, spec, code.manifest), root, root, box)
     used = replace(recipe.programs, all=(*recipe.programs.all, *_converted(code, root)))
     recipe = replace(recipe, programs=used)
-    return look(recipe, root, Store(store.root) if store.format.is_file() else None)
+    return compare_products(recipe, root, Store(store.root) if store.format.is_file() else None)
 
 
 def _used(spec: RunSpec, code: source.Source, root: Path, data: Programs, built: BuildState | None) -> Programs:
@@ -265,7 +267,7 @@ def _used(spec: RunSpec, code: source.Source, root: Path, data: Programs, built:
     known = {program.path for program in data.all}
     data = Programs((*data.all, *(program for program in products.all if program.path not in known)), data.notes)
     try:
-        used = programs_in(spec, code.manifest, root, data, made={program.name for program in built.products})
+        used = programs_in(spec, code.manifest, root, data, products={program.name for program in built.products})
         return _built(used, built, spec)
     except Missing:
         if built.reason is None:

@@ -263,8 +263,8 @@ def keep_check(plan: Plan, store: Store, session: Session) -> tuple[FileCheck, d
     checked, recorded = check(plan, store)
     if checked.stale or checked.reusable:
         writer = store.writer(session.paths.segment, plan.batch.id)
-        writer.records(StaleSessionRow(session.id, one, file.path) for one, file in checked.stale.items())
-        writer.records(ReusedExecutionRow(session.id, run, one.execution) for run, one in checked.reusable.items())
+        writer.records(StaleSessionRow(session.id, execution, file.path) for execution, file in checked.stale.items())
+        writer.records(ReusedExecutionRow(session.id, run, reused.execution) for run, reused in checked.reusable.items())
         writer.records(unused_changes(plan, store, session.id, checked.reusable.values(), checked.stale))
         store.publish(writer)
     return checked, recorded

@@ -142,7 +142,7 @@ def attempt(plan: Plan, run: Run, files: Files, project: StorePaths, observer: O
         raise UsageError("sierra try executes a run on this machine, and this one takes robots; use sierra run --runs 1")
     check_packages(plan)
     plan = versioned(_alone(plan, run))
-    with _place(project) as paths:
+    with _locked_folder(project) as paths:
         store = Store.create(paths.store)
         session = Session(store.paths, logged=False)
         output = _Output(session.paths.runs, observer, show)
@@ -220,7 +220,7 @@ def _alone(plan: Plan, run: Run) -> Plan:
 
 
 @contextlib.contextmanager
-def _place(project: StorePaths) -> Iterator[TrialPaths]:
+def _locked_folder(project: StorePaths) -> Iterator[TrialPaths]:
     """Yield the emptied folder for a trial, locked; what it does not leave is removed at the end. Raises Missing."""
     paths = project.trial
     with disk_errors(paths.root):
@@ -290,14 +290,14 @@ class _Output(Observer):
         folders = [path for pattern in ("[0-9]*", "slot-*/runs/[0-9]*") for path in self._runs.glob(pattern)]
         numbered = [path for path in folders if path.name.isdigit()]
         if numbered:
-            self._look(max(numbered, key=lambda path: int(path.name)))
+            self._show_new(max(numbered, key=lambda path: int(path.name)))
 
     def rest(self, folder: Path | None) -> None:
         """Show what has not been shown yet."""
         if folder is not None:
-            self._look(folder)
+            self._show_new(folder)
 
-    def _look(self, folder: Path) -> None:
+    def _show_new(self, folder: Path) -> None:
         for name in LOGS:
             with contextlib.suppress(OSError):
                 descriptor = os.open(folder / name, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
@@ -340,7 +340,7 @@ def _read(store: Store, execution: str, values: Mapping[str, Value], seed: int, 
         files=tuple(
             sorted(
                 (_file(store, file, folder) for file in shown.artifacts if file.kind != "log"),
-                key=lambda one: one.table is None,
+                key=lambda file: file.table is None,
             )
         ),
         logs={name: file.size for name in LOGS for file in shown.artifacts if (file.kind, file.path) == ("log", name)},

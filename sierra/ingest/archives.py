@@ -305,9 +305,9 @@ class Unpacking:
             if not output.archive or not output.required:
                 continue
             files = written.get(name, ())
-            place = robot_files.lacking(output, files, result.robots)
-            if place is not None or not files:
-                whose = f" of {robot_files.named(place, result.robots)}" if place is not None else ""
+            robot = robot_files.lacking(output, files, result.robots)
+            if robot is not None or not files:
+                whose = f" of {robot_files.named(robot, result.robots)}" if robot is not None else ""
                 opened = [key for key in self._names if key[0] == result.execution and output.opens(key[1])]
                 has = few([repr(known) for key in opened for known in self._names[key]], NAMED) or "no files"
                 return f"{output.file!r} (output {name!r}) is not in the archive{whose}, which has {has}"

@@ -32,7 +32,7 @@ LEFT_NOTHING = "left no file in its working directory, but wrote "
 
 def failure(result: Result, outputs: Mapping[str, Output]) -> str | None:
     """Return why a run has failed of which all files are elsewhere; None if it has left some, or has written none."""
-    places = [place for place in result.elsewhere if not NO_RESULTS.fullmatch(place)]
+    places = [path for path in result.elsewhere if not NO_RESULTS.fullmatch(path)]
     if outputs or result.outputs or not places:
         return None
     return f"{LEFT_NOTHING}{few(places, NAMED)}"
@@ -46,22 +46,22 @@ def lacking(name: str, output: Output, places: Sequence[str], files: Collection[
     if pattern := open_names.patterns([[output.file], files]).get(output.file):
         other = next(file for file in files if fnmatch.fnmatchcase(file, pattern))
         return f"{reason}, but {other!r} ({open_names.advice([pattern], name)})"
-    found = [place for place in places if _is_of(output, place)]
-    return f"{reason} in its working directory, but {few(found, NAMED)}" if found else reason
+    own = [path for path in places if _is_of(output, path)]
+    return f"{reason} in its working directory, but {few(own, NAMED)}" if own else reason
 
 
-def _is_of(output: Output, place: str) -> bool:
+def _is_of(output: Output, path: str) -> bool:
     """Return whether a file would belong to an output if it were in the working directory."""
-    inside = place.removeprefix(HOME).removeprefix(RUN)
-    return output.matches(inside) or output.matches(PurePosixPath(place).name)
+    inside = path.removeprefix(HOME).removeprefix(RUN)
+    return output.matches(inside) or output.matches(PurePosixPath(path).name)
 
 
 def notes(places: Collection[str]) -> Iterator[str]:
     """Yield warnings about files that runs wrote elsewhere, each with what would keep them."""
-    inputs = sorted(place for place in places if place.startswith(RUN) and not place.startswith(HOME))
-    homes = sorted(place for place in places if place.startswith(HOME))
-    inside = sorted(place for place in places if place.startswith(IN_PROJECT))
-    others = sorted(place for place in places if not place.startswith((RUN, IN_PROJECT)))
+    inputs = sorted(path for path in places if path.startswith(RUN) and not path.startswith(HOME))
+    homes = sorted(path for path in places if path.startswith(HOME))
+    inside = sorted(path for path in places if path.startswith(IN_PROJECT))
+    others = sorted(path for path in places if not path.startswith((RUN, IN_PROJECT)))
     if inputs:
         cure = f"call it output/{inputs[0].removeprefix(RUN)} in the template, or pass {{output}} to the program in command"
         yield _note("beside their input", inputs, cure)
@@ -108,12 +108,12 @@ def find_siblings(store: Store, session: SessionPaths, context: Context) -> set[
         if not snapshot.holds("observations"):
             return set()
         snapshot.views.make(("executions", "observations", "all_artifacts"))
-        found = snapshot.select(_Sibling, SIBLINGS, **parameters)
-    if not found:
+        siblings = snapshot.select(_Sibling, SIBLINGS, **parameters)
+    if not siblings:
         return set()
     now, lamport = datetime.now(UTC), context.lamport()
     writer = store.writer(session.segment, context.batch)
-    reason = f"left no file in its working directory; an observed run with the same command {found[0].reason}"
-    writer.records(FindingRow(one.execution, now, Status.FAILED, reason, lamport) for one in found)
+    reason = f"left no file in its working directory; an observed run with the same command {siblings[0].reason}"
+    writer.records(FindingRow(sibling.execution, now, Status.FAILED, reason, lamport) for sibling in siblings)
     store.publish(writer)
-    return {one.run for one in found}
+    return {sibling.run for sibling in siblings}

@@ -125,25 +125,25 @@ def check_package(output: Output | type[Output]) -> None:
         return
     words, package, extra = output.needs
     try:
-        found = find_spec(package) is not None
+        installed = find_spec(package) is not None
     except ValueError:
-        found = False
-    if not found:
+        installed = False
+    if not installed:
         raise Missing(f"outputs in {words} need the package {package}: pip install 'sierra-experiments[{extra}]'")
 
 
 def described(formats: Iterable[str], tables: Tables) -> Used:
     """Return the readers of these formats with their packages and options, as they are now. Raises ConfigError, PluginError."""
-    found: dict[str, UsedReader] = {}
+    readers: dict[str, UsedReader] = {}
     for name in sorted(set(formats)):
         offer = READERS.offer(name)
-        found[name] = {
+        readers[name] = {
             "package": offer.package,
             "options": READERS.options(name, tables.get(name, {})).model_dump(mode="json"),
         }
         if offer.files:
-            found[name]["files"] = {path: _text(path, content) for path, content in offer.files().items()}
-    return found
+            readers[name]["files"] = {path: _text(path, content) for path, content in offer.files().items()}
+    return readers
 
 
 def _text(path: str, content: bytes) -> str:
@@ -160,17 +160,17 @@ def restored(readers: Used, *, refused: str = "") -> Used:
 
     With `refused`, which is a reason, no recorded code is imported. Raises PluginError if a reader cannot be used.
     """
-    found: dict[str, UsedReader] = {}
+    usable: dict[str, UsedReader] = {}
     for name, reader in readers.items():
         if "files" not in reader:
-            found |= described((name,), {name: reader["options"]})
+            usable |= described((name,), {name: reader["options"]})
             continue
         if refused:
             raise PluginError(f"the reader {name!r} of {reader['package']} is not imported: {refused}")
         with recorded(name, json.dumps(reader)):
             READERS.load(name)
-        found[name] = reader
-    return found
+        usable[name] = reader
+    return usable
 
 
 def recorded(name: str, described: str) -> AbstractContextManager[None]:
@@ -191,5 +191,5 @@ def recorded(name: str, described: str) -> AbstractContextManager[None]:
 def make(name: str, described: str) -> OutputReader:
     """Return the reader of a format of another package; `described` is its entry of `Used`, as JSON."""
     with recorded(name, described):
-        made: OutputReader = READERS.make(name, {name: json.loads(described)["options"]})
-    return made
+        reader: OutputReader = READERS.make(name, {name: json.loads(described)["options"]})
+    return reader

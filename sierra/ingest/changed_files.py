@@ -56,7 +56,7 @@ class Doubt:
     files: frozenset[str] | None = None
     """The files that have changed, as in the table `files_read`; None if the doubt concerns every execution."""
     absent: frozenset[str] = frozenset()
-    """Those of them that were removed or replaced, so that their names may have been absent for a time."""
+    """The changed files that were removed or replaced, so that their names may have been absent for a time."""
     by_siblings: bool = True
     """True if observed executions may stand for others."""
 

@@ -83,8 +83,8 @@ def incomplete(reasons: Iterable[str]) -> Iterator[str]:
 
 def why_untraced(reason: str) -> Iterator[str]:
     """Yield the end of an observation's reason if it says why the tracer cannot be used."""
-    if found := TRACER.search(reason):
-        yield reason[found.end() :]
+    if match := TRACER.search(reason):
+        yield reason[match.end() :]
 
 
 def untraced(reasons: Iterable[str]) -> Iterator[str]:
@@ -102,8 +102,8 @@ def _changed(snapshot: Snapshot, session: str) -> Iterator[str]:
 
 
 def _different(snapshot: Snapshot, session: str) -> Iterator[str]:
-    found = snapshot.select(_Different, SEEN + DIFFERENT, session=session)
-    if found:
-        named = [f"{one.path} (by {one.users} of {one.runs}, e.g. run {short(one.run)})" for one in found]
+    files = snapshot.select(_Different, SEEN + DIFFERENT, session=session)
+    if files:
+        named = [f"{file.path} (by {file.users} of {file.runs}, e.g. run {short(file.run)})" for file in files]
         what = "some observed runs used files that others of their experiment did not"
         yield f"{what}: {few(named, NAMED)}; see the table files_read"

@@ -56,5 +56,5 @@ def _changes(snapshot: Snapshot, identities: list[str]) -> Iterator[str]:
         return
     statement = "SELECT * FROM environments WHERE list_contains($e, environment)"
     rows = {row.environment: row._asdict() for row in snapshot.select(EnvironmentRow, statement, e=identities)}
-    for before, after in pairwise(rows[one] for one in identities if one in rows):
+    for before, after in pairwise(rows[identity] for identity in identities if identity in rows):
         yield from (name for name, _, _ in environment.differing(before, after))

@@ -58,18 +58,18 @@ def _find_inconsistent_tables(store: Store, session: SessionPaths, context: Cont
     tables: dict[tuple[int, str], list[Sibling]] = {}
     for row in rows:
         tables.setdefault((row.ordinal, row.output), []).append(row)
-    found: dict[str, str] = {}
+    reasons: dict[str, str] = {}
     events = _events(store, context, tables)
     ended = endings.left_running(store, context.batch) if tables else ""
     advice = _patterns(context, tables)
     for (ordinal, name), siblings in sorted(tables.items()):
-        for execution, reason in _odd(siblings, name, context.outputs.get(name), ended, events=name in events):
-            found.setdefault(execution, reason + advice.get((ordinal, name), ""))
+        for execution, reason in _inconsistent(siblings, name, context.outputs.get(name), ended, events=name in events):
+            reasons.setdefault(execution, reason + advice.get((ordinal, name), ""))
     now, lamport = datetime.now(UTC), context.lamport()
     writer = store.writer(session.segment, context.batch)
-    writer.records(FindingRow(one, now, Status.MISMATCH, reason, lamport) for one, reason in found.items())
+    writer.records(FindingRow(execution, now, Status.MISMATCH, reason, lamport) for execution, reason in reasons.items())
     store.publish(writer)
-    return {row.run for row in rows if row.execution in found}
+    return {row.run for row in rows if row.execution in reasons}
 
 
 def _events(store: Store, context: Context, tables: Mapping[tuple[int, str], Sequence[Sibling]]) -> set[str]:
@@ -90,12 +90,14 @@ def _patterns(context: Context, tables: Mapping[tuple[int, str], Sequence[Siblin
             layouts = map(TableLayout.load, row.forms or ())
             runs = files.setdefault(ordinal, {})
             runs.setdefault(row.execution, {}).update({layout.file: name for layout in layouts if layout.file})
-    found = {}
+    by_table = {}
     for ordinal, runs in files.items():
         proposals = open_names.patterns(runs.values())
         advice = f" ({open_names.advice(sorted(set(proposals.values())))})"
-        found.update({(ordinal, name): advice for one in runs.values() for file, name in one.items() if file in proposals})
-    return found
+        by_table.update(
+            {(ordinal, name): advice for names in runs.values() for file, name in names.items() if file in proposals}
+        )
+    return by_table
 
 
 def parameters(context: Context) -> dict[str, str]:
@@ -144,7 +146,7 @@ class Sibling(NamedTuple):
     forms: list[str] | None
 
 
-def _odd(
+def _inconsistent(
     siblings: Sequence[Sibling], name: str, declared: Output | None, ended: str = "", *, events: bool
 ) -> Iterator[tuple[str, str]]:
     """Yield the executions among siblings whose table `name` differs, each with the difference.

@@ -140,7 +140,7 @@ class Csv(Text):
             return f"quotes are not closed: {head[:80]!r}"
         if all(reads_as_number(name) for name in names):
             return "numbers instead of column names (if the file has no header, set header = false in [outputs.…])"
-        names = tuple(name or f"column{place}" for place, name in enumerate(names))
+        names = tuple(name or f"column{index}" for index, name in enumerate(names))
         doubled = [name for name, count in Counter(names).items() if count > 1]
         if doubled:
             return f"the column {doubled[0]!r} occurs twice"
@@ -233,7 +233,7 @@ class Csv(Text):
 
     def contradictions(self, files: Sequence[Written], found: Found) -> Iterator[tuple[Written, str]]:
         """Yield the files that repeat their header, for example because a run appended to them; then all columns are text."""
-        names = [name for place, name in enumerate(self.part.names) if name != f"column{place}" and not reads_as_number(name)]
+        names = [name for index, name in enumerate(self.part.names) if name != f"column{index}" and not reads_as_number(name)]
         for file in files if self.shape.header else ():
             if names and all(found[name].get(file.path) == "VARCHAR" for name in names) and (line := self._header_again(file)):
                 message = f"line {line}: the header is repeated: {_first_record(file)[:80]!r}"
@@ -256,7 +256,7 @@ class Csv(Text):
         return again
 
     def relation(self, names: Sequence[str], types: Mapping[str, str]) -> str:
-        columns = {f"c{place}": "DOUBLE" if types[name] == "DOUBLE" else "VARCHAR" for place, name in enumerate(names)}
+        columns = {f"c{index}": "DOUBLE" if types[name] == "DOUBLE" else "VARCHAR" for index, name in enumerate(names)}
         longest = self._longest + 1 if self._longest >= 2_000_000 else None
         given = csv_given(columns, FILE, delimiter=self.part.delimiter, header=self.shape.header, longest=longest)
         bare = ", ".join(f"nullif(trim({name}), '') AS {name}" for name, kind in columns.items() if kind == "VARCHAR")
@@ -318,8 +318,8 @@ class Csv(Text):
 
 def _without_blank_end(content: bytes) -> bytes:
     filled = content.rstrip(b"\r\n")
-    found = BLANK_END.fullmatch(content, len(filled))
-    return content if found is None else filled + (found[1] or found[2])
+    match = BLANK_END.fullmatch(content, len(filled))
+    return content if match is None else filled + (match[1] or match[2])
 
 
 def _first_record(file: Written) -> str:

@@ -146,8 +146,8 @@ class CsvAsFound(Rewriter):
         without = (
             rb"^" + comment + rb"$|^" + blank + rb"(?:\n|(?<=[ \t\r])\Z)" if self._aligned else rb'"[^"]*"|^' + comment + rb"$"
         )
-        for found in re.compile(without, re.MULTILINE).finditer(content):
-            left_out += not found[0].startswith(b'"')
+        for match in re.compile(without, re.MULTILINE).finditer(content):
+            left_out += not match[0].startswith(b'"')
         joined = form.header_lines - 1 + form.units_row
         unended = bool(content) and not content.endswith(b"\n")
         return content.count(b"\n") + unended - left_out - joined if content else 0
@@ -156,8 +156,8 @@ class CsvAsFound(Rewriter):
         if self._aligned or self.shape.delimiter:
             return self.shape.delimiter
         if self.shape.form.decimal == ",":
-            found = delimiter_of(first.replace(",", ""))
-            return ";" if found == "," and not (self.shape.header and "," in first) else found
+            delimiter = delimiter_of(first.replace(",", ""))
+            return ";" if delimiter == "," and not (self.shape.header and "," in first) else delimiter
         return delimiter_of(first)
 
     def _split(self, line: Line, delimiter: str) -> tuple[str, ...]:
@@ -246,7 +246,7 @@ def _cut(number: int, text: str, widths: Sequence[int]) -> tuple[str, ...]:
     """Return the cells of a line of fixed width. Raises UnreadableError if the line does not fit."""
     if "\t" in text:
         raise UnreadableError(f"line {number}: has a tab, but widths counts characters: {shown(text)[:80]!r}")
-    ends = [sum(widths[: place + 1]) for place in range(len(widths))]
+    ends = [sum(widths[: index + 1]) for index in range(len(widths))]
     if len(text) <= ends[-1] - widths[-1] or text[ends[-1] :].strip():
         few = "few" if len(text) <= ends[-1] else "many"
         raise UnreadableError(f"line {number}: too {few} characters ({len(text)}; widths has {ends[-1]}): {shown(text)[:80]!r}")

@@ -95,9 +95,9 @@ HAVING bool_and(complete AND (before IS NULL OR least >= before)) AND max(least)
 def short(sizes: Iterable[TableSize]) -> Iterator[tuple[TableSize, int, int]]:
     """Yield the tables that have less than half of the rows of all others of their experiment, with the range of these."""
     experiments: dict[tuple[str, int], list[TableSize]] = {}
-    for one in sizes:
-        experiments.setdefault((one.output, one.ordinal), []).append(one)
-    for found in experiments.values():
-        least, *others = sorted(found, key=lambda one: one.rows)
+    for table in sizes:
+        experiments.setdefault((table.output, table.ordinal), []).append(table)
+    for tables in experiments.values():
+        least, *others = sorted(tables, key=lambda table: table.rows)
         if len(others) > 1 and others[0].rows >= max(SUSPECTED, 2 * least.rows + 1):
             yield least, others[0].rows, others[-1].rows

@@ -20,14 +20,12 @@ def keys_of(content: bytes) -> Mapping[str, str] | None:
         document = parsed(content)
     except UnreadableError:
         return None
-    lists = sorted(_lists(document, ()), key=lambda found: -len(found[1]))
+    lists = sorted(_lists(document, ()), key=lambda pair: -len(pair[1]))
     if not lists:
         return None
     path, items = lists[0]
     rows = {"rows": DOT.join(path)} if path else {}
-    within = [
-        ".".join(inner) for inner, one in _lists(items[0], ()) if all(_has_list(item, inner) for item in items[:LOOKED_AT])
-    ]
+    within = [".".join(inner) for inner, _ in _lists(items[0], ()) if all(_has_list(item, inner) for item in items[:LOOKED_AT])]
     return rows | ({"unnest": within[0]} if len(within) == 1 else {})
 
 

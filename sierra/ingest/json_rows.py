@@ -77,8 +77,8 @@ class JsonDocument(Rewriter):
             return self._items(text, _pattern(keys, names), length) if names else length
         if names:
             return max(self._lengths(text, _pointer([*keys, *names])) or 0, 1)
-        found = self._asked("SELECT unnest(json_keys($text, $path))", text, _pointer(keys))
-        columns = [self._lengths(text, _pointer([*keys, str(key)])) for [key] in found]
+        column_keys = self._asked("SELECT unnest(json_keys($text, $path))", text, _pointer(keys))
+        columns = [self._lengths(text, _pointer([*keys, str(key)])) for [key] in column_keys]
         lengths = [length for length in columns if length is not None]
         return min(lengths, default=0) if len(lengths) == len(columns) else 1
 
@@ -90,8 +90,8 @@ class JsonDocument(Rewriter):
 
     def _items(self, text: str, path: str, objects: int) -> int:
         """Return the number of items of the lists of so many objects; an object without items is one row."""
-        found = self._asked("SELECT unnest(json_array_length($text, $path))", text, path)
-        return sum(max(int(str(length)), 1) for [length] in found) + objects - len(found)
+        lengths = self._asked("SELECT unnest(json_array_length($text, $path))", text, path)
+        return sum(max(int(str(length)), 1) for [length] in lengths) + objects - len(lengths)
 
     def _asked(self, statement: str, text: str, path: str) -> list[Sequence[object]]:
         try:
@@ -102,8 +102,8 @@ class JsonDocument(Rewriter):
     def _rows(self, source: OriginalFile) -> Iterator[tuple[int, Object]]:
         """Yield the rows, each with the number of its object."""
         nested = self._nested(source) if self._flat else frozenset()
-        for number, one in self._split(source):
-            row = {name: value for name, value in one.items() if value is not None or name not in nested}
+        for number, json_object in self._split(source):
+            row = {name: value for name, value in json_object.items() if value is not None or name not in nested}
             if self._missing:
                 row = {name: None if self._missing.has_value(value) else value for name, value in row.items()}
             yield number, row
@@ -111,13 +111,13 @@ class JsonDocument(Rewriter):
     def _nested(self, source: OriginalFile) -> frozenset[str]:
         """Return the names of the objects that became columns. Where such an object is null, it is no column itself."""
         names = {name for _, row in self._split(source) for name in row if DOT in name}
-        return frozenset(name[:place] for name in names for place, character in enumerate(name) if character == DOT)
+        return frozenset(name[:index] for name in names for index, character in enumerate(name) if character == DOT)
 
     def _split(self, source: OriginalFile) -> Iterator[tuple[int, Object]]:
         """Yield the rows of each object, with the object's number: several if its list is unnested."""
-        for number, one in self.objects(source):
+        for number, json_object in self.objects(source):
             try:
-                for row in _unnested(one, _keys(self.shape.form.unnest)):
+                for row in _unnested(json_object, _keys(self.shape.form.unnest)):
                     yield number, flattened(row) if self._flat else row
             except ValueError as error:
                 raise UnreadableError(f"{self.word} {number}: {error}") from error
@@ -136,10 +136,10 @@ class JsonLines(JsonDocument):
         for number, line in enumerate(source.lines(), 1):
             if line.strip():
                 try:
-                    [one] = _objects_of([parsed(line)], columns=False)
+                    [json_object] = _objects_of([parsed(line)], columns=False)
                 except UnreadableError as error:
                     raise UnreadableError(f"line {number}: {error}") from error
-                yield number, one
+                yield number, json_object
 
     def count(self, source: OriginalFile, written: int) -> int:
         content = source.content()
@@ -159,41 +159,41 @@ def parsed(content: bytes) -> object:
     except RecursionError as error:
         raise UnreadableError("is nested too deeply") from error
     except json.JSONDecodeError as error:
-        place = f"line {error.lineno}, column {error.colno}: " if error.lineno > 1 else f"column {error.colno}: "
-        raise UnreadableError(f"{place}is truncated or not JSON ({error.msg})") from error
+        position = f"line {error.lineno}, column {error.colno}: " if error.lineno > 1 else f"column {error.colno}: "
+        raise UnreadableError(f"{position}is truncated or not JSON ({error.msg})") from error
     except ValueError as error:
         raise UnreadableError(str(error)) from error
 
 
-def flattened(one: Object) -> dict[str, object]:
+def flattened(json_object: Object) -> dict[str, object]:
     """Return an object with the values of nested objects, such as `pose.x`. Raises ValueError if a name occurs twice."""
-    found: dict[str, object] = {}
-    for key, value in one.items():
+    flat: dict[str, object] = {}
+    for key, value in json_object.items():
         inner = (
             {f"{key}{DOT}{name}": nested for name, nested in flattened(value).items()}
             if isinstance(value, dict)
             else {key: value}
         )
-        if twice := found.keys() & inner.keys():
+        if twice := flat.keys() & inner.keys():
             raise ValueError(f"two values are named {min(twice)!r}")
-        found |= inner
-    return found
+        flat |= inner
+    return flat
 
 
-def _unnested(one: Object, keys: Sequence[str]) -> Iterator[Object]:
+def _unnested(json_object: Object, keys: Sequence[str]) -> Iterator[Object]:
     """Yield an object for each item of the list at this place, with the item instead of the list."""
-    if not keys or (value := one.get(keys[0])) is None:
-        yield one
+    if not keys or (value := json_object.get(keys[0])) is None:
+        yield json_object
     elif len(keys) > 1:
         if not isinstance(value, dict):
             raise ValueError(f"{keys[0]!r} is not an object")
         for inner in _unnested(value, keys[1:]):
-            yield {**one, keys[0]: inner}
+            yield {**json_object, keys[0]: inner}
     elif not isinstance(value, list):
         raise ValueError(f"{keys[0]!r} is not a list")
     else:
         for item in value or [None]:
-            yield {**one, keys[0]: item}
+            yield {**json_object, keys[0]: item}
 
 
 def _part(document: object, rows: str) -> object:
@@ -215,22 +215,22 @@ def _objects_of(document: object, *, columns: bool) -> Sequence[Object]:
                     f"the column {name!r} has {length} values, but the first has {next(iter(lengths.values()))}"
                 )
         return [dict(zip(document, values, strict=True)) for values in zip(*document.values(), strict=True)]
-    found: list[object] = document if isinstance(document, list) else [document]
-    return [_object(one, f"item {number}: " if len(found) > 1 else "") for number, one in enumerate(found, 1)]
+    items: list[object] = document if isinstance(document, list) else [document]
+    return [_object(item, f"item {number}: " if len(items) > 1 else "") for number, item in enumerate(items, 1)]
 
 
-def _object(one: object, place: str) -> Object:
-    if not isinstance(one, dict):
-        raise UnreadableError(f"{place}is not an object: {json.dumps(one)[:80]}")
-    return one
+def _object(value: object, position: str) -> Object:
+    if not isinstance(value, dict):
+        raise UnreadableError(f"{position}is not an object: {json.dumps(value)[:80]}")
+    return value
 
 
 def _once(pairs: Sequence[tuple[str, object]]) -> dict[str, object]:
-    found = dict(pairs)
-    if len(found) < len(pairs):
+    json_object = dict(pairs)
+    if len(json_object) < len(pairs):
         names = [name for name, _ in pairs]
         raise ValueError(f"the key {next(name for name in names if names.count(name) > 1)!r} occurs twice")
-    return found
+    return json_object
 
 
 def _finite(text: str) -> float:

@@ -29,11 +29,11 @@ class Jsonl(Text):
 
     def sort(self, files: Sequence[Written]) -> Mapping[str, Part | None]:
         try:
-            found = self._keys(files)
+            keys = self._keys(files)
         except self.error:
             self.halve(files, self._keys, lambda file, error: self.first_fault(file, (), {}) or first_line(error))
-            found = self._keys(self.sound(files))
-        return {file.path: Part(tuple(found[file.path])) if file.path in found else None for file in files}
+            keys = self._keys(self.sound(files))
+        return {file.path: Part(tuple(keys[file.path])) if file.path in keys else None for file in files}
 
     def _keys(self, files: Sequence[Written]) -> dict[str, dict[str, None]]:
         """Return the keys of each file's objects, by path."""
@@ -43,10 +43,10 @@ class Jsonl(Text):
             f"ELSE json_keys(json) END FROM {self._objects()}",
             files,
         )
-        found: dict[str, dict[str, None]] = {}
+        by_path: dict[str, dict[str, None]] = {}
         for path, keys in sorted(rows, key=lambda row: -len(row[1])):
-            found.setdefault(path, {}).update(dict.fromkeys(keys))
-        return found
+            by_path.setdefault(path, {}).update(dict.fromkeys(keys))
+        return by_path
 
     def _objects(self) -> str:
         return objects_given(FILE)
@@ -54,7 +54,7 @@ class Jsonl(Text):
     def relation(self, names: Sequence[str], types: Mapping[str, str]) -> str:
         pointers = ("/" + name.replace("~", "~0").replace("/", "~1") for name in names)
         values = (f"nullif(json_extract(json, {quote(pointer)})::VARCHAR, 'null')" for pointer in pointers)
-        cells = "".join(f"{_bare(value)} AS c{place}, " for place, value in enumerate(values))
+        cells = "".join(f"{_bare(value)} AS c{index}, " for index, value in enumerate(values))
         return f"(SELECT {cells}{identifier(FILE)} FROM {self._objects()})"
 
     def text(self, cell: str) -> str:

@@ -152,7 +152,10 @@ class OutputMatcher:
             if path in self._as_files:
                 return None
             taken = {*owners, *(known.lower() for known in self._outputs)}
-            first, name = name, next(one for n in count(2) if (one := f"{name}_{n}").lower() not in taken and check_name(one))
+            first, name = (
+                name,
+                next(numbered for n in count(2) if (numbered := f"{name}_{n}").lower() not in taken and check_name(numbered)),
+            )
             self.renamed[path] = f"{shown(path)!r} makes the table {name!r}, because the table {first!r} is that of {owner!r}"
         names[stem] = name
         return name
@@ -219,8 +222,8 @@ def _stem(path: str) -> str:
 
 def claims(outputs: Mapping[str, Output], path: str) -> list[str]:
     """Return the outputs that a file belongs to: those that name it or have files in it, or else those whose pattern fits."""
-    found = [name for name, output in outputs.items() if output.matches(path)]
-    return [name for name in found if outputs[name].base == path or outputs[name].opens(path)] or found
+    claiming = [name for name, output in outputs.items() if output.matches(path)]
+    return [name for name in claiming if outputs[name].base == path or outputs[name].opens(path)] or claiming
 
 
 def claimed_twice(result: Result, outputs: Mapping[str, Output]) -> str | None:

@@ -71,19 +71,19 @@ class MatchingLines(CsvAsFound):
         changes = self._remade
         for first, lines in _blocks(source):
             matches = list(_matches(lines, self.shape.form.lines))
-            twice = self._twice([_text(lines[place]) for place, _ in matches])
-            for nth, (place, groups) in enumerate(matches):
-                if fault := _fault(lines[place], groups, twice=nth == twice):
-                    raise UnreadableError(f"line {first + place}: {fault}")
-                values = [_within(lines[place], span) for name, span in groups.items() if name != line_patterns.WHOLE]
-                yield first + place, csv_line([self._changed(value, first + place) for value in values] if changes else values)
+            twice = self._twice([_text(lines[index]) for index, _ in matches])
+            for nth, (index, groups) in enumerate(matches):
+                if fault := _fault(lines[index], groups, twice=nth == twice):
+                    raise UnreadableError(f"line {first + index}: {fault}")
+                values = [_within(lines[index], span) for name, span in groups.items() if name != line_patterns.WHOLE]
+                yield first + index, csv_line([self._changed(value, first + index) for value in values] if changes else values)
 
     def _twice(self, lines: Sequence[str]) -> int | None:
         """Return the place of the first line in which the pattern matches several times; None if there is none."""
-        [[place]] = (
+        [[index]] = (
             self.sql.execute(TWICE, {"lines": lines, "pattern": self.shape.form.lines}).fetchall() if lines else [[None]]
         )
-        return None if place is None else int(place)
+        return None if index is None else int(index)
 
     def count(self, source: OriginalFile, written: int) -> int:
         content, at, matching = source.content().removeprefix(BOM), 0, 0
@@ -164,12 +164,12 @@ def _fault(line: bytes, groups: Groups, *, twice: bool) -> str:
 def _is_part(line: bytes, name: str, groups: Groups) -> str:
     """Return how the number in a group continues in the line, unless another group has that part; "" if it is whole."""
     start, end = _ends(groups[name])
-    found, before = line[start:end], max(start - BEFORE, 0)
+    number, before = line[start:end], max(start - BEFORE, 0)
     left = EXPONENT.search(line, before, start)
-    if not left and found[:1] not in b"+- ":
+    if not left and number[:1] not in b"+- ":
         left = BEGINS_EARLIER.search(line, before, start)
-    right = GOES_ON.match(line, end) if found[-1:] != b" " else None
-    if found.lstrip(b"+-") == b"0":
+    right = GOES_ON.match(line, end) if number[-1:] != b" " else None
+    if number.lstrip(b"+-") == b"0":
         right = right or HEXADECIMAL.match(line, end)
     if not (left or right) or not reads_as_number(_within(line, groups[name]).replace(",", ".")):
         return ""

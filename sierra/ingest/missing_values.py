@@ -36,7 +36,7 @@ class MissingValues:
         if not self._numbers or not bare:
             return False
         number = _number(bare)
-        return number is not None and any(_same(number, one) for one in self._numbers)
+        return number is not None and any(_same(number, missing) for missing in self._numbers)
 
     def has_value(self, value: object) -> bool:
         """Check if a value of JSON or the like stands for a missing one."""

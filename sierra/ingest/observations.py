@@ -64,19 +64,19 @@ class Observed:
 
 def observed(result: Result) -> Observed | None:
     """Return the records of an execution; None if it was not observed."""
-    found = _record(result)
-    if found is None:
+    record = _record(result)
+    if record is None:
         return None
-    files = [(recorded_name(name), use, sha256, size) for name, use, sha256, size in found["files"]]
+    files = [(recorded_name(name), use, sha256, size) for name, use, sha256, size in record["files"]]
     identity = file_set(files)
-    lists = (list(map(recorded_name, texts)) for texts in (found["notes"], found["distributions"]))
+    lists = (list(map(recorded_name, texts)) for texts in (record["notes"], record["distributions"]))
     return Observed(
-        ObservationRow(result.execution, identity, found["method"], found["reason"], *lists),
+        ObservationRow(result.execution, identity, record["method"], record["reason"], *lists),
         tuple(FileReadRow(identity, *file) for file in files),
-        tuple(ListingRow(sha256, list(map(recorded_name, names))) for sha256, names in found.get("listings", {}).items()),
-        tuple(FileWrittenRow(result.execution, recorded_name(name), use) for name, use in found["written"]),
-        tuple(ChannelRow(result.execution, recorded_name(name), use) for name, use in found.get("channels", ())),
-        found.get("digests", {}) if result.host == os.uname().nodename else {},
+        tuple(ListingRow(sha256, list(map(recorded_name, names))) for sha256, names in record.get("listings", {}).items()),
+        tuple(FileWrittenRow(result.execution, recorded_name(name), use) for name, use in record["written"]),
+        tuple(ChannelRow(result.execution, recorded_name(name), use) for name, use in record.get("channels", ())),
+        record.get("digests", {}) if result.host == os.uname().nodename else {},
     )
 
 
@@ -94,10 +94,10 @@ def file_set(files: Iterable[tuple[str, str, str | None, int | None]]) -> str:
 def written(result: Result) -> tuple[str, ...]:
     """Return the names of all files that an execution is known to have written, but not among its outputs."""
     own = tuple(map(recorded_name, result.elsewhere))
-    found = _record(result)
-    if found is None:
+    record = _record(result)
+    if record is None:
         return own
-    return (*own, *(recorded_name(name) for name, use in found["written"] if use == WRITTEN))
+    return (*own, *(recorded_name(name) for name, use in record["written"] if use == WRITTEN))
 
 
 def recorded_name(name: str) -> str:

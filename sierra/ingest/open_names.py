@@ -42,20 +42,20 @@ def patterns(runs: Iterable[Collection[str]]) -> dict[str, str]:
     if len(sides) < 2:
         return {}
     everywhere = frozenset.intersection(*sides)
-    found: dict[str, str] = {}
+    by_path: dict[str, str] = {}
     shapes: dict[_Parts, list[dict[str, _Parts]]] = {}
-    for place, names in enumerate(sides):
+    for index, names in enumerate(sides):
         for name in names - everywhere:
             text, numbers = _split(name)
-            shapes.setdefault(text, [{} for _ in sides])[place][name] = numbers
+            shapes.setdefault(text, [{} for _ in sides])[index][name] = numbers
     for text, of_runs in shapes.items():
         if all(of_runs):
-            found |= _of_numbers(text, of_runs)
-    if not found and all(len(names - everywhere) == 1 for names in sides):
+            by_path |= _of_numbers(text, of_runs)
+    if not by_path and all(len(names - everywhere) == 1 for names in sides):
         own = [next(iter(names - everywhere)) for names in sides]
         if pattern := _of_letters(own):
-            found = dict.fromkeys(own, pattern)
-    return found
+            by_path = dict.fromkeys(own, pattern)
+    return by_path
 
 
 def with_date(path: str) -> str | None:
@@ -71,7 +71,7 @@ def with_values(path: str, seed: int, values: Iterable[object]) -> str | None:
     parts = VALUES.split(path)
     if seed < SURE_SEED or str(seed) not in parts[1::2]:
         return None
-    return "".join("*" if place % 2 and float(part) in given else part for place, part in enumerate(parts))
+    return "".join("*" if index % 2 and float(part) in given else part for index, part in enumerate(parts))
 
 
 def of_robots(columns: Mapping[str, Collection[str]]) -> dict[str, str]:
@@ -82,18 +82,18 @@ def of_robots(columns: Mapping[str, Collection[str]]) -> dict[str, str]:
     alike: dict[tuple[_Parts, int, _Parts], list[str]] = {}
     for path in columns:
         text, numbers = _split(path)
-        for place in range(len(numbers)):
-            if OF_ROBOT.search(text[place]) and numbers[place].isdecimal():
-                others = (*numbers[:place], "", *numbers[place + 1 :])
-                alike.setdefault((text, place, others), []).append(path)
-    found: dict[str, str] = {}
-    for (text, place, numbers), paths in alike.items():
+        for position in range(len(numbers)):
+            if OF_ROBOT.search(text[position]) and numbers[position].isdecimal():
+                others = (*numbers[:position], "", *numbers[position + 1 :])
+                alike.setdefault((text, position, others), []).append(path)
+    by_path: dict[str, str] = {}
+    for (text, position, numbers), paths in alike.items():
         same = {tuple(columns[path]) for path in paths}
         plain = not any(character in paths[0] for character in "*?[{")
         if plain and len(paths) > 1 and len(same) == 1 and ROBOT not in {name.lower() for name in columns[paths[0]]}:
-            parts = (f"{{{ROBOT}}}" if nth == place else number for nth, number in enumerate(numbers))
-            found |= dict.fromkeys(paths, "".join(chain.from_iterable(zip(text, (*parts, text[-1]), strict=False))))
-    return found
+            parts = (f"{{{ROBOT}}}" if nth == position else number for nth, number in enumerate(numbers))
+            by_path |= dict.fromkeys(paths, "".join(chain.from_iterable(zip(text, (*parts, text[-1]), strict=False))))
+    return by_path
 
 
 def name_of(pattern: str) -> str:
@@ -107,7 +107,9 @@ def name_of(pattern: str) -> str:
 
 def advice(patterns: Iterable[str], name: str | None = None) -> str:
     """Return the declarations that make one table of the files of each pattern; `name` is that of the only one."""
-    declarations = [f"[outputs.{name or name_of(one)}] file = {json.dumps(one, ensure_ascii=False)}" for one in patterns]
+    declarations = [
+        f"[outputs.{name or name_of(pattern)}] file = {json.dumps(pattern, ensure_ascii=False)}" for pattern in patterns
+    ]
     names, make = (
         ("another name", "makes one table of them") if len(declarations) == 1 else ("other names", "make tables of them")
     )

@@ -115,7 +115,7 @@ class Parquet(TableReader):
 
     def _inexact(self, files: Sequence[Written]) -> set[str]:
         """Return the columns that would become DOUBLE, of which some have numbers that DOUBLE cannot hold."""
-        found = set()
+        inexact = set()
         for name in self.part.names:
             by_kind: dict[str, list[Written]] = {}
             for file in files:
@@ -124,8 +124,8 @@ class Parquet(TableReader):
             exact = by_kind.keys() - {"DOUBLE", "FLOAT"}
             mixed = len(by_kind) > 1 and widest(by_kind) == "DOUBLE"
             if mixed and any(self._any_inexact(name, kind, by_kind[kind]) for kind in exact):
-                found.add(name)
-        return found
+                inexact.add(name)
+        return inexact
 
     def _any_inexact(self, name: str, kind: str, files: Sequence[Written]) -> bool:
         inexact = is_inexact(f"CAST({identifier(self._called[files[0].path][name])} AS {kind})", kind)
@@ -149,7 +149,7 @@ class Parquet(TableReader):
         self._wide |= {path: name for path, _, name in rows if name}
         by_path = {file.path: file for file in files}
         described: dict[tuple[str, ...], tuple[dict[str, str], dict[str, str]]] = {}
-        found = {}
+        schemas = {}
         for path, schema, _ in rows:
             key = tuple(schema)
             if key not in described:
@@ -158,8 +158,8 @@ class Parquet(TableReader):
                 called = dict(zip(_own_names(path, names), names, strict=True))
                 kinds = {row[0]: row[1] for row in columns}
                 described[key] = {own: kinds[name] for own, name in called.items()}, called
-            found[path], self._called[path] = described[key]
-        return found
+            schemas[path], self._called[path] = described[key]
+        return schemas
 
     def _find_durations(self, files: Sequence[Written]) -> None:
         """Find the columns of durations, whose units only the Arrow schema of a file has; note faults."""
@@ -244,10 +244,10 @@ def write_parquet(columns: Columns | pa.Table, target: BinaryIO) -> None:
     import pyarrow.parquet as pq
 
     table = columns if isinstance(columns, pa.Table) else pa.table(dict(columns))
-    for place, field in enumerate(table.schema):
+    for index, field in enumerate(table.schema):
         if pa.types.is_null(field.type):
             empty = pa.nulls(len(table), pa.bool_())
-            table = table.set_column(place, field.name, empty)
+            table = table.set_column(index, field.name, empty)
     pq.write_table(table, target)
 
 

@@ -79,16 +79,16 @@ def _tables(lines: list[str]) -> dict[str, dict[str, Key]]:
     patterns = {form: _pattern(form) for form in forms}
     if len(forms) > MOST_TABLES or any(_matched(pattern, lines) != counts[form] for form, pattern in patterns.items()):
         return {}
-    found: dict[str, dict[str, Key]] = {}
+    tables: dict[str, dict[str, Key]] = {}
     for form in forms:
-        name = next(name for name in _names(form) if name not in found)
-        found[name] = {"file": RUN_STDOUT, "lines": patterns[form]}
-    return found
+        name = next(name for name in _names(form) if name not in tables)
+        tables[name] = {"file": RUN_STDOUT, "lines": patterns[form]}
+    return tables
 
 
 def _form(line: str) -> Form | None:
     """Return the form of a line with a named number; None for other lines."""
-    clocks = [found.span() for found in CLOCK.finditer(line)]
+    clocks = [clock.span() for clock in CLOCK.finditer(line)]
     texts, end = [], 0
     for number in NUMBER.finditer(line):
         if not any(begin <= number.start() < after for begin, after in clocks):

@@ -64,14 +64,14 @@ def join(files: Sequence[Written], shape: Shape, target: Path) -> Written:
         return files[0]
     whole, lines = bytearray(), 0
     head: Sequence[bytes] = ()
-    for place, file in enumerate(files):
+    for index, file in enumerate(files):
         content = OriginalFile(file).content()
-        content = content.removeprefix(BOM) if place else content
-        if content and not content.endswith(b"\n") and place < len(files) - 1:
+        content = content.removeprefix(BOM) if index else content
+        if content and not content.endswith(b"\n") and index < len(files) - 1:
             raise UnreadableError(f"its part {shown(file.name)} does not end with a line feed")
         count = content.count(b"\n")
         own, until = _head(content, shape)
-        if not place:
+        if not index:
             head = own
         elif head and own == head:
             content = content.split(b"\n", until)[-1]
@@ -100,7 +100,7 @@ def _check_parts(files: Sequence[Written], base: str) -> None:
         first = names.setdefault(part_of(base, file.name), file.name)
         if first != file.name:
             raise UnreadableError(f"its parts {shown(first)} and {shown(file.name)} are the same part; keep one of them")
-    numbers = sorted(-place[1] for place in names if place and place[0] == NUMBERED)
+    numbers = sorted(-part[1] for part in names if part and part[0] == NUMBERED)
     absent = next((number for number in range(1, max(numbers, default=0)) if number not in numbers), None)
     if absent is not None:
         raise UnreadableError(f"its part {absent} is missing, but there is {numbers[-1]}")
@@ -112,12 +112,12 @@ def _head(content: bytes, shape: Shape) -> tuple[Sequence[bytes], int]:
         return (), 0
     form = shape.form
     marks = tuple(comment.encode() for comment in form.comments)
-    found: list[bytes] = []
+    header: list[bytes] = []
     for number, line in enumerate(content.removeprefix(BOM).split(b"\n")[:-1], 1):
         if number > form.skip and line.strip() and not line.lstrip(b" \t").startswith(marks):
-            found.append(line)
-        if len(found) == form.header_lines + form.units_row:
-            return found, number
+            header.append(line)
+        if len(header) == form.header_lines + form.units_row:
+            return header, number
     return (), 0
 
 
@@ -136,12 +136,12 @@ def read(
     if shape.rotated:
         return _read_rotated(connection, files, shape, target, siblings)
     connection.execute("SET disabled_optimizers = 'join_order,build_side_probe_side'")  # rows keep their order
-    found = _reader(shape, files)
+    reader = _reader(shape, files)
     with Aliases() as aliases:
         named = [file if (path := aliases.of(file.path)) == file.path else replace(file, path=path) for file in files]
-        if issubclass(found, Rewriter):
-            return read_rewritten(found(shape, connection), connection, named, target, siblings or Siblings())
-        return found(connection, shape, target, siblings or Siblings()).read(named)
+        if issubclass(reader, Rewriter):
+            return read_rewritten(reader(shape, connection), connection, named, target, siblings or Siblings())
+        return reader(connection, shape, target, siblings or Siblings()).read(named)
 
 
 def _read_rotated(
@@ -154,24 +154,24 @@ def _read_rotated(
     faults: dict[str, str] = {}
     joined: list[Written] = []
     with tempfile.TemporaryDirectory(prefix="sierra-") as folder, disk_errors(Path(folder)):
-        for number, some in enumerate(parts.values()):
-            aged = by_age(some, shape.rotated)
+        for number, run_parts in enumerate(parts.values()):
+            aged = by_age(run_parts, shape.rotated)
             try:
                 joined.append(join(aged, shape, Path(folder, str(number))))
             except UnreadableError as error:
                 faults[aged[-1].execution] = f"{shown(aged[-1].name)}: {error}"
-        found = read(connection, joined, replace(shape, rotated=""), target, siblings)
-    for execution, fault in found.faults.items():
+        reading = read(connection, joined, replace(shape, rotated=""), target, siblings)
+    for execution, fault in reading.faults.items():
         lines = "" if len(parts[execution]) < 2 else " (lines are counted from the oldest part on)"
         faults[execution] = fault + lines
-    return replace(found, faults=faults, shape=replace(found.shape, rotated=shape.rotated))
+    return replace(reading, faults=faults, shape=replace(reading.shape, rotated=shape.rotated))
 
 
 def _reader(shape: Shape, files: Sequence[Written]) -> type[TableReader] | type[Rewriter]:
     """Return the reader of a format, or the rewriter of files that are not plain."""
     with recorded(shape.format, shape.reader):
-        found: type = READERS.load(shape.format)
-    if not issubclass(found, TableReader | Rewriter):
+        reader: type = READERS.load(shape.format)
+    if not issubclass(reader, TableReader | Rewriter):
         from sierra.ingest.parquet import Converted
 
         return Converted
@@ -180,7 +180,7 @@ def _reader(shape: Shape, files: Sequence[Written]) -> type[TableReader] | type[
 
         return MatchingLines
     plain = shape.form == PLAIN and shape.delimiter != BLANKS and not any(is_compressed(file.name) for file in files)
-    if issubclass(found, Rewriter) or plain or shape.format not in AS_FOUND:
-        return found
+    if issubclass(reader, Rewriter) or plain or shape.format not in AS_FOUND:
+        return reader
     rewriter: type[Rewriter] = AS_FOUND[shape.format]
     return rewriter

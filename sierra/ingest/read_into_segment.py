@@ -84,20 +84,20 @@ class TableIngest:
         """Return the tables that were made from a file: one, several of a bag, or `NO_TABLE`."""
         return self.files.get((execution, file.path), (NO_TABLE,))
 
-    def judged(self, one: Judgement) -> Judgement:
+    def judged(self, judgement: Judgement) -> Judgement:
         """Return the judgement after the tables were read."""
-        execution = one.result.execution
-        if one.status is Status.ACCEPTED:  # a program that did not come to its end may have written anything
-            return one
+        execution = judgement.result.execution
+        if judgement.status is Status.ACCEPTED:  # a program that did not come to its end may have written anything
+            return judgement
         if execution in self.faults:
-            return Judgement(one.result, Status.MISMATCH, self.faults[execution])
-        files = one.result.outputs if one.status is Status.OK else ()
-        for path, found in ((file.path, found) for file in files for found in self.of(execution, file)):
-            output = self.outputs.get(found.output or "")
-            name = f"{path}/{found.member}" if found.member else path
-            if output and found.rows is not None and (few := too_few(name, found.rows, str(found.output), output)):
-                return Judgement(one.result, Status.FAILED, few)
-        return one
+            return Judgement(judgement.result, Status.MISMATCH, self.faults[execution])
+        files = judgement.result.outputs if judgement.status is Status.OK else ()
+        for path, table in ((file.path, table) for file in files for table in self.of(execution, file)):
+            output = self.outputs.get(table.output or "")
+            name = f"{path}/{table.member}" if table.member else path
+            if output and table.rows is not None and (few := too_few(name, table.rows, str(table.output), output)):
+                return Judgement(judgement.result, Status.FAILED, few)
+        return judgement
 
 
 def _layout(reading: Reading, file: Written) -> str:
@@ -132,19 +132,19 @@ def artifact_rows(result: Result, tables: TableIngest) -> Iterator[ArtifactRow]:
 
 def file_rows(result: Result, file: OutputFile, tables: TableIngest) -> Iterator[ArtifactRow]:
     """Yield the row of `artifacts` for a file; for a file of several tables, one for each."""
-    for found in tables.of(result.execution, file):
+    for table in tables.of(result.execution, file):
         yield ArtifactRow(
             execution=result.execution,
             run=result.run,
             path=shown(file.path),
-            kind="file" if found.rows is None else "table",
-            output=found.output,
+            kind="file" if table.rows is None else "table",
+            output=table.output,
             size=file.bytes,
             sha256=file.sha256,
-            rows=found.rows,
-            table_layout=found.layout,
-            counted_rows=found.counted,
-            member=found.member,
+            rows=table.rows,
+            table_layout=table.layout,
+            counted_rows=table.counted,
+            member=table.member,
         )
 
 
@@ -163,56 +163,56 @@ def tabled(
     from sierra.store.connections import connect
 
     with _unpacking(context.outputs) as unpacking:
-        made = TableIngest(context.outputs)
+        tables = TableIngest(context.outputs)
         files: dict[str, list[Written]] = {}
         optional = set[str]()
         patterns: dict[Written, list[str]] = {}
         for number, judged in enumerate(executions):
             try:
-                written_files = list(_files(judged, context, assigning, unpacking, made.faults))
+                written_files = list(_files(judged, context, assigning, unpacking, tables.faults))
             except LaterError:
-                made.rest.extend(executions[number:])
+                tables.rest.extend(executions[number:])
                 break
             for output, shape, written in written_files:
                 name = output if judged.status is Status.OK else output + ACCEPTED
                 if judged.status is Status.ACCEPTED and not written.ended and shape.format in TEXTS:
                     continue  # it was cut off in its last line, which may look whole
                 if judged.status is Status.OK and context.success.accept and name.lower().endswith(ACCEPTED):
-                    made.faults.setdefault(judged.result.execution, NAME_TAKEN.format(path=shown(written.name), name=name))
+                    tables.faults.setdefault(judged.result.execution, NAME_TAKEN.format(path=shown(written.name), name=name))
                 shapes.setdefault(name, replace(shape, name=name) if shape.name else shape)
                 files.setdefault(name, []).append(written)
                 if shape.form.lines:
                     patterns.setdefault(written, []).append(shape.form.lines)
                     optional |= set() if context.outputs[output].required else {name}
         if not files:
-            return made
+            return tables
         for written, several in patterns.items():
             with contextlib.suppress(UnreadableError):  # the reader says so
                 assigning.unmatched.add(written.run, OriginalFile(written), several)
         connection = connect()
         try:
-            for name, found in files.items():
-                twice = dict(_twice(found, shapes[name]))
+            for name, table_files in files.items():
+                twice = dict(_twice(table_files, shapes[name]))
                 for execution, fault in twice.items():
-                    made.faults.setdefault(execution, fault)
-                single = [one for one in found if one.execution not in twice]
+                    tables.faults.setdefault(execution, fault)
+                single = [file for file in table_files if file.execution not in twice]
                 reading = read(connection, single, shapes[name], writer.path(OUTPUT + name), siblings(store, context, name))
                 shapes[name] = reading.shape
-                for one in single:
-                    rows = reading.rows.get(key := (one.execution, one.name))
+                for file in single:
+                    rows = reading.rows.get(key := (file.execution, file.name))
                     if name in optional and rows == 0:
                         continue
                     made_of = TableFile(name, None, None, None)
                     if rows is not None:
-                        member = one.name.removeprefix(f"{one.archive}/") if one.archive else None
-                        made_of = TableFile(name, rows, reading.counted.get(key), _layout(reading, one), member)
-                    of_file = made.files.setdefault((one.execution, one.archive or one.name), [])
+                        member = file.name.removeprefix(f"{file.archive}/") if file.archive else None
+                        made_of = TableFile(name, rows, reading.counted.get(key), _layout(reading, file), member)
+                    of_file = tables.files.setdefault((file.execution, file.archive or file.name), [])
                     of_file += [] if made_of in of_file else [made_of]
                 for execution, fault in reading.faults.items():
-                    made.faults.setdefault(execution, fault)
+                    tables.faults.setdefault(execution, fault)
         finally:
             connection.close()
-        return made
+        return tables
 
 
 def _unpacking(outputs: Mapping[str, Output]) -> AbstractContextManager[Unpacking | None]:

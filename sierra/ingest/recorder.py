@@ -302,7 +302,11 @@ class Recorder:
                 self._put_away(judgement.result)
             self._pending = rest
             self._other_rows, self._copies = {}, []
-            failed += [(one.result.run, one.status, one.reason or "") for one in judged if not one.status.is_result]
+            failed += [
+                (judgement.result.run, judgement.status, judgement.reason or "")
+                for judgement in judged
+                if not judgement.status.is_result
+            ]
             if not rest:
                 break  # otherwise there was no space to unpack all archives together
         self._bytes = 0
@@ -312,10 +316,10 @@ class Recorder:
         """Yield the copies that are not recorded yet, each compared with the record of its execution."""
         if not self._copies:
             return
-        recorded = {one.result.execution: result_hash(one.result.outputs) for one in self._pending}
+        recorded = {judgement.result.execution: result_hash(judgement.result.outputs) for judgement in self._pending}
         recorded |= dict(self._store.select(_ResultHash, RESULTS, s=self.context.session))
         known = set(self._store.select(_Copy, COPIES, s=self.context.session))
-        for copy in (one for one in self._copies if _Copy(one.execution, one.attempt or "") not in known):
+        for copy in (copy for copy in self._copies if _Copy(copy.execution, copy.attempt or "") not in known):
             result = result_hash(copy.outputs)
             same = recorded.get(copy.execution) == result
             self._copied, self._unlike = self._copied + 1, self._unlike + (not same)
@@ -380,9 +384,9 @@ class Recorder:
         """Write what belongs to pending executions; return their final judgements, and the executions that had no space yet."""
         tables = tabled(self._pending, writer, self._store, self.context, self._assigning, self._shapes)
         pending = self._pending[: len(self._pending) - len(tables.rest)]
-        judged = [tables.judged(one) for one in pending]
+        judged = [tables.judged(judgement) for judgement in pending]
         objects = Objects(writer.path("objects"))
-        artifacts = [row for one in judged for row in _artifacts(one.result, tables, objects, raw=self.context.raw)]
+        artifacts = [row for judgement in judged for row in _artifacts(judgement.result, tables, objects, raw=self.context.raw)]
         objects.close()
         writer.records(artifacts)
         self._write_observations(writer, pending)
@@ -429,28 +433,33 @@ class Recorder:
             writer.rows(table, several)
 
     def _write_observations(self, writer: Writer, pending: list[Judgement]) -> None:
-        found = [one for one in (observed(judgement.result) for judgement in pending) if one is not None]
-        writer.records(one.observation for one in found)
-        for one in found:
-            if one.observation.reason is None:
+        records = [record for record in (observed(judgement.result) for judgement in pending) if record is not None]
+        writer.records(record.observation for record in records)
+        for record in records:
+            if record.observation.reason is None:
                 self._complete = True
-            elif one.observation.method == TRACED:
-                self._reasons[one.observation.reason] = None
+            elif record.observation.method == TRACED:
+                self._reasons[record.observation.reason] = None
             else:
-                self._untraced |= dict.fromkeys(compare_observations.why_untraced(one.observation.reason))
-        sets = {one.observation.files: one.read for one in found if one.observation.files not in self._file_sets}
+                self._untraced |= dict.fromkeys(compare_observations.why_untraced(record.observation.reason))
+        sets = {record.observation.files: record.read for record in records if record.observation.files not in self._file_sets}
         writer.records(row for rows in sets.values() for row in rows)
-        new = {row.sha256: row for one in found if one.observation.files in sets for row in one.listings}
+        new = {row.sha256: row for record in records if record.observation.files in sets for row in record.listings}
         writer.records(new.values())
-        writer.records(row for one in found for row in one.written)
-        writer.records(row for one in found for row in one.channels)
-        given = ((one.result.execution, port) for one in pending for port in one.result.ports)
+        writer.records(row for record in records for row in record.written)
+        writer.records(row for record in records for row in record.channels)
+        given = ((judgement.result.execution, port) for judgement in pending for port in judgement.result.ports)
         writer.records(ChannelRow(execution, f"127.0.0.1:{port}", "given") for execution, port in dict.fromkeys(given))
-        own = ((one.result.execution, path) for one in pending for path in one.result.elsewhere if path.startswith(astray.RUN))
+        own = (
+            (judgement.result.execution, path)
+            for judgement in pending
+            for path in judgement.result.elsewhere
+            if path.startswith(astray.RUN)
+        )
         writer.records(FileWrittenRow(execution, path, WRITTEN) for execution, path in own)
-        writer.records(row for one in pending for row in _endings(one))
+        writer.records(row for judgement in pending for row in _endings(judgement))
         self._file_sets |= sets.keys()
-        if digests := {path: fact for one in found for path, fact in one.digests.items()}:
+        if digests := {path: fact for record in records for path, fact in record.digests.items()}:
             cache = HashCache()
             cache.learn(digests)
             cache.save()
@@ -461,8 +470,8 @@ class Recorder:
             [self._position] = self._store.values(int, COUNT, s=self.context.session)
         return self._position
 
-    def _execution(self, one: Judgement, position: int) -> ExecutionRow:
-        result, context = one.result, self.context
+    def _execution(self, judgement: Judgement, position: int) -> ExecutionRow:
+        result, context = judgement.result, self.context
         return ExecutionRow(
             execution=result.execution,
             run=result.run,
@@ -470,8 +479,8 @@ class Recorder:
             batch=context.batch,
             started=_moment(result.started),
             ended=_moment(result.ended),
-            status=str(one.status),
-            reason=one.reason,
+            status=str(judgement.status),
+            reason=judgement.reason,
             exit_code=result.exit_code,
             signal=result.signal,
             wall_s=result.ended - result.started,
@@ -481,7 +490,7 @@ class Recorder:
             host=result.host,
             slot=result.slot,
             result=result_hash(result.outputs),
-            log_tail=None if one.status is Status.OK else last_words(result.directory),
+            log_tail=None if judgement.status is Status.OK else last_words(result.directory),
             environment=result.environment or context.environment,
             programs=context.programs,
             ingest_rules=self._reading,

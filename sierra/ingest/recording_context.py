@@ -130,9 +130,9 @@ class Context:
             declared = Declared(outputs=fields["outputs"], success=fields["success"], readers=fields.get("readers", {}))
             fields["outputs"], fields["success"], fields["readers"] = rules_of(declared)
             fields["isolation"] = IsolationRow(**known) if (known := fields.get("isolation")) else None
-            made = cls(**fields)
-            if ID.fullmatch(made.batch) and SESSION.fullmatch(made.session):
-                return made
+            context = cls(**fields)
+            if ID.fullmatch(context.batch) and SESSION.fullmatch(context.session):
+                return context
         except (ValueError, LookupError, TypeError, AttributeError):
             pass
         raise Damaged(

@@ -173,10 +173,14 @@ def foresee(store: Store, context: Context, runs: Iterable[str], *, mismatched: 
     pending = iter(sorted(runs))
     while some := list(islice(pending, AT_A_TIME)):
         with store.snapshot() as snapshot:
-            past = [one for one in _past(snapshot, context, some, mismatched=mismatched) if not _is_hopeless(one, context)]
-            sizes = snapshot.kept_sizes({row.sha256 for one in past for row in one.artifacts})
-        lacking = {one.last.run: lack for one in past if (lack := _lacking(one, context, sizes)) is not None}
-        yield Foreseen({one.last.run: one for one in past if one.last.run not in lacking}, lacking)
+            past = [
+                previous
+                for previous in _past(snapshot, context, some, mismatched=mismatched)
+                if not _is_hopeless(previous, context)
+            ]
+            sizes = snapshot.kept_sizes({row.sha256 for previous in past for row in previous.artifacts})
+        lacking = {previous.last.run: lack for previous in past if (lack := _lacking(previous, context, sizes)) is not None}
+        yield Foreseen({previous.last.run: previous for previous in past if previous.last.run not in lacking}, lacking)
 
 
 PAST = f"""
@@ -229,8 +233,8 @@ def _past(snapshot: Snapshot, context: Context, runs: Iterable[str], *, mismatch
         artifacts[artifact.execution].append(artifact)
     robots: dict[str, dict[int, str]] = {}
     snapshot.views.make(("files_written", "robots"))
-    for execution, place, name in snapshot.run(ROBOTS, {"executions": [row.execution for row in rows]}):
-        robots.setdefault(execution, {})[place] = name
+    for execution, number, name in snapshot.run(ROBOTS, {"executions": [row.execution for row in rows]}):
+        robots.setdefault(execution, {})[number] = name
     written: dict[str, list[str]] = {}
     for execution, path in snapshot.run(WRITTEN, {"executions": [row.execution for row in rows]}):
         written.setdefault(execution, []).append(path)
@@ -241,8 +245,8 @@ def _past(snapshot: Snapshot, context: Context, runs: Iterable[str], *, mismatch
             known = robots.get(row.execution, {})
             files, printed = _with_stdout(artifacts[row.judgement], rules[row.ingest_rules][0], context.outputs)
             ended = (tuple(left.get(row.execution, ())), after.get(row.execution))
-            one = Past(row, *rules[row.ingest_rules], files, elsewhere, known, *ended, printed)
-            yield replace(one, tabled=_is_tabled(one, context))
+            previous = Past(row, *rules[row.ingest_rules], files, elsewhere, known, *ended, printed)
+            yield replace(previous, tabled=_is_tabled(previous, context))
 
 
 def _with_stdout(
@@ -272,18 +276,18 @@ def _endings(snapshot: Snapshot, executions: Sequence[str]) -> tuple[dict[str, l
     return left, after
 
 
-def _is_tabled(one: Past, context: Context) -> bool:
+def _is_tabled(previous: Past, context: Context) -> bool:
     """Check that the files that become tables are already recorded as these tables, read in the same way, with their rows."""
-    empty = (context.outputs.get(row.output or "") for row in one.artifacts if row.rows == 0)
+    empty = (context.outputs.get(row.output or "") for row in previous.artifacts if row.rows == 0)
     if any(output is not None and output.lines for output in empty):
         return False  # without a line that matches, it is a table only if it is required
-    result = one.result(one.last.execution, Path(), {})
-    if Status.ACCEPTED in (one.last.status, judge(result, context.outputs, context.success)[0]):
+    result = previous.result(previous.last.execution, Path(), {})
+    if Status.ACCEPTED in (previous.last.status, judge(result, context.outputs, context.success)[0]):
         return False
-    if context.success.accept and any((row.output or "").lower().endswith(ACCEPTED) for row in one.artifacts):
+    if context.success.accept and any((row.output or "").lower().endswith(ACCEPTED) for row in previous.artifacts):
         return False  # the name of its table is refused
-    recorded = {(row.output, row.path) for row in one.artifacts if row.rows is not None}
-    before, now = ({(n, file.path): shape for n, shape, file in _tables(one, rules)} for rules in (one, context))
+    recorded = {(row.output, row.path) for row in previous.artifacts if row.rows is not None}
+    before, now = ({(n, file.path): shape for n, shape, file in _tables(previous, rules)} for rules in (previous, context))
     return before == now and now.keys() == recorded
 
 
@@ -311,15 +315,15 @@ def _has_own_stdout(artifacts: Sequence[ArtifactRow]) -> bool:
     return any(row.size != size or (0 < size <= KEPT and row.sha256 != sha256) for row in files)
 
 
-def _lacking(one: Past, context: Context, sizes: Mapping[str, int]) -> str | None:
+def _lacking(previous: Past, context: Context, sizes: Mapping[str, int]) -> str | None:
     """Return why the store does not have enough to evaluate an execution again; None if it has."""
     log: list[ArtifactRow] = []
     if standard_output.is_in(context.outputs):
-        if _has_own_stdout(one.artifacts):
+        if _has_own_stdout(previous.artifacts):
             return standard_output.OWN
-        logs = {row.sha256 for row in one.artifacts if row.path == RUN_STDOUT and row.kind == "log"}
-        log = [row for row in one.artifacts if row.path == RUN_STDOUT and row.kind == "file" and row.sha256 in logs]
-    for row in (*needed(one, context), *log):
+        logs = {row.sha256 for row in previous.artifacts if row.path == RUN_STDOUT and row.kind == "log"}
+        log = [row for row in previous.artifacts if row.path == RUN_STDOUT and row.kind == "file" and row.sha256 in logs]
+    for row in (*needed(previous, context), *log):
         if row.sha256 not in sizes:
             return NOT_KEPT.format(path=row.path)
         if sizes[row.sha256] != row.size:
@@ -353,13 +357,13 @@ def reevaluate(store: Store, session: SessionPaths, context: Context, runs: Iter
     assigning = OutputMatcher(context.outputs, context.readers, partial(recorded_names, store))
     shapes = dict[str, Shape]()
 
-    def size(one: Past) -> int:
-        return sum(row.size for row in needed(one, context))
+    def size(previous: Past) -> int:
+        return sum(row.size for row in needed(previous, context))
 
-    for found in foresee(store, context, runs, mismatched=mismatched):
-        outcome.unread |= found.lacking
-        past = sorted(found.possible.values(), key=lambda one: one.tabled)
-        for some in by_weight(past, size, BYTES, lambda group, one: one.tabled == group[0].tabled):
+    for foreseen in foresee(store, context, runs, mismatched=mismatched):
+        outcome.unread |= foreseen.lacking
+        past = sorted(foreseen.possible.values(), key=lambda previous: previous.tabled)
+        for some in by_weight(past, size, BYTES, lambda group, previous: previous.tabled == group[0].tabled):
             with disk_errors(session.reevaluation):
                 session.reevaluation.mkdir()
             try:
@@ -384,12 +388,14 @@ class _Group:
 
     def judge(self, past: Sequence[Past]) -> None:
         """Evaluate the executions and publish the segment."""
-        results = {result.execution: (one, result) for one, result in self._results(past)}
+        results = {result.execution: (previous, result) for previous, result in self._results(past)}
         first = [
             Judgement(result, *judge(result, self.context.outputs, self.context.success)) for _, result in results.values()
         ]
         # an execution that failed before and still fails is not recorded: its run is executed
-        first = [one for one in first if results[one.result.execution][0].succeeded or one.status.is_result]
+        first = [
+            judgement for judgement in first if results[judgement.result.execution][0].succeeded or judgement.status.is_result
+        ]
         rest = self._record(first, results, copied=past[0].tabled)
         while rest:  # there was no space to unpack all archives together
             rest = self._record(rest, results, copied=False)
@@ -401,46 +407,51 @@ class _Group:
         writer = self.store.writer(self.session.segment, self.context.batch)
         if copied:
             tables: TableIngest = self._copied(
-                [results[one.result.execution] for one in first if one.status is Status.OK], writer
+                [results[judgement.result.execution] for judgement in first if judgement.status is Status.OK], writer
             )
         else:
             tables = tabled(first, writer, self.store, self.context, self.assigning, self.shapes)
-        made = [(results[one.result.execution][0], tables.judged(one)) for one in first[: len(first) - len(tables.rest)]]
-        writer.records(row for of, one in made for row in _artifacts(of, one.result, tables))
-        writer.records(self._row(of, one) for of, one in made)
-        writer.records([IngestRulesRow(self.context.ingest_rules, self.context.declared)] if made else [])
+        judged = [
+            (results[judgement.result.execution][0], tables.judged(judgement))
+            for judgement in first[: len(first) - len(tables.rest)]
+        ]
+        writer.records(row for previous, judgement in judged for row in _artifacts(previous, judgement.result, tables))
+        writer.records(self._row(previous, judgement) for previous, judgement in judged)
+        writer.records([IngestRulesRow(self.context.ingest_rules, self.context.declared)] if judged else [])
         self.store.publish(writer)
-        self.outcome.judged |= {of.last.run for of, _ in made}
+        self.outcome.judged |= {previous.last.run for previous, _ in judged}
         return tables.rest
 
     def _copied(self, good: Sequence[tuple[Past, Result]], writer: Writer) -> TableIngest:
         """Copy recorded rows. Raises Damaged if their number differs from the number in their artifacts."""
-        recorded = [(result.execution, row) for one, result in good for row in one.artifacts if row.rows is not None]
+        recorded = [(result.execution, row) for previous, result in good for row in previous.artifacts if row.rows is not None]
         tables = Counter[str]()
         for _, row in recorded:
             tables[str(row.output).lower()] += row.rows or 0
         with self.store.snapshot() as snapshot:
-            written = write_again(snapshot, writer, tables, {one.last.judgement: result.execution for one, result in good})
+            written = write_again(
+                snapshot, writer, tables, {previous.last.judgement: result.execution for previous, result in good}
+            )
         for name, rows in tables.items():
             if rows != written[name]:
                 raise Damaged(f"table {name!r} has {written[name]} rows, but {rows} were recorded; see sierra fsck")
         known: dict[tuple[str, str], list[TableFile]] = {}
         for execution, row in recorded:
-            found = TableFile(row.output, row.rows, row.counted_rows, row.table_layout, row.member)
-            known.setdefault((execution, row.path), []).append(found)
+            table = TableFile(row.output, row.rows, row.counted_rows, row.table_layout, row.member)
+            known.setdefault((execution, row.path), []).append(table)
         return TableIngest(self.context.outputs, known)
 
     def _results(self, past: Sequence[Past]) -> Iterator[tuple[Past, Result]]:
         """Yield the results that a worker would have reported, with the bytes of the needed files in a folder."""
-        folders = {one.last.execution: self.session.reevaluation / str(number) for number, one in enumerate(past)}
+        folders = {previous.last.execution: self.session.reevaluation / str(number) for number, previous in enumerate(past)}
         read, lost = self._unpacked(past, folders)
-        for one in past:
-            made = judgement_id(one.last.execution, self.context.ingest_rules, self.context.session)
-            result = one.result(made, folders[one.last.execution], read.get(one.last.execution, {}))
-            if one.last.execution in lost:
-                self.outcome.unread[one.last.run] = lost[one.last.execution]
-            elif one.failed_by_rules(result):
-                yield one, result
+        for previous in past:
+            judgement = judgement_id(previous.last.execution, self.context.ingest_rules, self.context.session)
+            result = previous.result(judgement, folders[previous.last.execution], read.get(previous.last.execution, {}))
+            if previous.last.execution in lost:
+                self.outcome.unread[previous.last.run] = lost[previous.last.execution]
+            elif previous.failed_by_rules(result):
+                yield previous, result
 
     def _unpacked(
         self, past: Sequence[Past], folders: Mapping[str, Path]
@@ -448,7 +459,7 @@ class _Group:
         """Write the needed files; return a worker's descriptions of them, and the reasons why some could not be written."""
         read: dict[str, dict[str, OutputFile]] = {}
         lost: dict[str, str] = {}
-        files = [_recorded(one, row) for one in past for row in needed(one, self.context)]
+        files = [_recorded(previous, row) for previous in past for row in needed(previous, self.context)]
         with self.store.snapshot() as snapshot:
             for content in contents(snapshot, files):
                 file = content.file
@@ -467,16 +478,16 @@ class _Group:
                     read.setdefault(execution, {})[file.path] = seen
         return read, lost
 
-    def _row(self, past: Past, one: Judgement) -> JudgementRow:
+    def _row(self, past: Past, judgement: Judgement) -> JudgementRow:
         return JudgementRow(
-            judgement=one.result.execution,
+            judgement=judgement.result.execution,
             execution=past.last.execution,
             run=past.last.run,
             session=self.context.session,
             batch=self.context.batch,
             judged_at=datetime.now(UTC),
-            status=str(one.status),
-            reason=one.reason,
+            status=str(judgement.status),
+            reason=judgement.reason,
             ingest_rules=self.context.ingest_rules,
             lamport=self.context.lamport(),
         )

@@ -162,16 +162,16 @@ class _Rewriting:
         self._sources: dict[tuple[str, str], OriginalFile] = {}
 
     def read(self, connection: Database, files: Sequence[Written], target: Path, siblings: Siblings) -> Reading:
-        made = [new for number, file in enumerate(files) if (new := self._rewritten(file, number)) is not None]
-        sound = [file for file in made if file.execution not in self._faults]
-        found = self._rewriter.reader()(connection, self._rewriter.plain(), target, siblings).read(sound)
+        rewritten = [new for number, file in enumerate(files) if (new := self._rewritten(file, number)) is not None]
+        sound = [file for file in rewritten if file.execution not in self._faults]
+        reading = self._rewriter.reader()(connection, self._rewriter.plain(), target, siblings).read(sound)
         mine = self._rewriter.shape
-        theirs = found.shape
+        theirs = reading.shape
         shape = replace(mine, parts=theirs.parts, files=theirs.files, ended=theirs.ended, nans=theirs.nans)
         shape = replace(shape, bare=mine.bare + self._rewriter.bare)
-        faults = self._faults | {execution: self._placed(fault, execution) for execution, fault in found.faults.items()}
-        hints = {key: self._hints(key, texts) for key, texts in found.hints.items()}
-        return replace(found, shape=shape, faults=faults, hints=hints)
+        faults = self._faults | {execution: self._placed(fault, execution) for execution, fault in reading.faults.items()}
+        hints = {key: self._hints(key, texts) for key, texts in reading.hints.items()}
+        return replace(reading, shape=shape, faults=faults, hints=hints)
 
     def _rewritten(self, file: Written, number: int) -> Written | None:
         """Return the plain file, or None if the file is at fault."""

@@ -253,44 +253,48 @@ def find(store: Store, session: SessionPaths, context: Context, lost: float = ma
     `lost`: the time since which a run of the session was executing that is not recorded, in seconds since the epoch. `final`:
     executions of the session are taken as sharing a thing that only one observed run has used.
     """
-    found: dict[str, tuple[_Overlapping, str]] = {}
+    findings: dict[str, tuple[_Overlapping, str]] = {}
     with store.snapshot() as snapshot:
         for kind in KINDS:
             shared = _shared(snapshot, context.batch, kind)
             for decided in (True, False) if final else (True,):
-                names = [one for one in shared if one.decided is decided]
-                said = kind.reason.replace("{names}", few([one.name for one in names], NAMED))
+                names = [resource for resource in shared if resource.decided is decided]
+                said = kind.reason.replace("{names}", few([resource.name for resource in names], NAMED))
                 reason = said.replace("{verb}", "are" if len(names) > 1 else "is") + f"; {kind.cure}"
                 reason += "" if decided else UNDECIDED
-                for one in _overlapping(snapshot, context, kind, names, lost):
-                    if decided or one.session == context.session:
-                        found.setdefault(one.judgement, (one, reason))
+                for execution in _overlapping(snapshot, context, kind, names, lost):
+                    if decided or execution.session == context.session:
+                        findings.setdefault(execution.judgement, (execution, reason))
     now, lamport = datetime.now(UTC), context.lamport()
-    for batch in sorted({one.batch for one, _ in found.values()}):
+    for batch in sorted({execution.batch for execution, _ in findings.values()}):
         writer = store.writer(session.segment, batch)
         writer.records(
             FindingRow(judgement, now, Status.FAILED, reason, lamport)
-            for judgement, (one, reason) in found.items()
-            if one.batch == batch
+            for judgement, (execution, reason) in findings.items()
+            if execution.batch == batch
         )
         store.publish(writer)
-    return {one.run for one, _ in found.values()}
+    return {execution.run for execution, _ in findings.values()}
 
 
 def undecided(store: Store, context: Context) -> set[str]:
     """Return the runs of a batch whose observation would tell whether executions share something: one of each experiment."""
-    found: set[str] = set()
+    runs: set[str] = set()
     with store.snapshot() as snapshot:
         for kind in KINDS:
             kind = kind._replace(uses=kind.wider or kind.uses)
-            names = [one for one in _shared(snapshot, context.batch, kind) if not one.decided]
-            near = [one.run for one in _overlapping(snapshot, context, kind, names, math.inf) if one.batch == context.batch]
+            names = [resource for resource in _shared(snapshot, context.batch, kind) if not resource.decided]
+            near = [
+                execution.run
+                for execution in _overlapping(snapshot, context, kind, names, math.inf)
+                if execution.batch == context.batch
+            ]
             if near:
-                scopes = sorted({scope for one in names for scope in one.scopes})
+                scopes = sorted({scope for resource in names for scope in resource.scopes})
                 query = OTHERS.replace("{uses}", kind.uses)
-                given = {"batch": context.batch, "names": [one.name for one in names], "near": near, "scopes": scopes}
-                found.update(snapshot.values(str, query, **given))
-    return found
+                given = {"batch": context.batch, "names": [resource.name for resource in names], "near": near, "scopes": scopes}
+                runs.update(snapshot.values(str, query, **given))
+    return runs
 
 
 def unseen(store: Store, context: Context) -> set[str]:
@@ -311,8 +315,8 @@ def notes(store: Store, context: Context) -> Iterator[str]:
         names = [
             _Shared(name, True, []) for name in snapshot.values(str, USED_OUTSIDE, batch=context.batch, session=context.session)
         ]
-        if any(one.session == context.session for one in _overlapping(snapshot, context, OUTSIDE, names, math.inf)):
-            said = few([one.name for one in names], NAMED)
+        if any(execution.session == context.session for execution in _overlapping(snapshot, context, OUTSIDE, names, math.inf)):
+            said = few([resource.name for resource in names], NAMED)
             yield (
                 f"runs at the same time used a server that no run has started: {said}; if runs "
                 "change its state, execute with --jobs 1, or let each run start its own ([services.NAME], {port})"
@@ -331,7 +335,7 @@ def _shared(snapshot: Snapshot, batch: str, kind: Kind) -> list[_Shared]:
 def _overlapping(snapshot: Snapshot, context: Context, kind: Kind, names: Sequence[_Shared], lost: float) -> list[_Overlapping]:
     if not names:
         return []
-    shared = [one.name for one in names]
+    shared = [resource.name for resource in names]
     return snapshot.select(
         _Overlapping,
         OVERLAPPING.replace("{uses}", kind.uses),

@@ -73,10 +73,10 @@ def gone_back(connection: Database, target: Path, declared: str | None, hidden: 
     if not connection.execute(ANY.format(rows=rows)).fetchall():
         return
     back = [WentBack(*row) for row in connection.execute(FIRST.format(rows=rows)).fetchall()]
-    for one in back:
+    for step in back:
         robots = [name for name in own if name != time and re.fullmatch(rf"VARCHAR|{INTEGER}", kinds[name])]
-        if not any(_of_each(connection, rows, one, name) for name in robots):
-            yield one
+        if not any(_of_each(connection, rows, step, name) for name in robots):
+            yield step
 
 
 def _of_each(connection: Database, rows: str, one: WentBack, column: str) -> bool:

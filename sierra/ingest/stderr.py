@@ -129,12 +129,12 @@ def _without_ignored(lines: Sequence[str]) -> Sequence[str]:
 
 def _traceback(lines: Sequence[str]) -> str | None:
     """Return the exception of a traceback at the end."""
-    places = [place for place, line in enumerate(lines) if line.strip() == TRACEBACK]
+    places = [index for index, line in enumerate(lines) if line.strip() == TRACEBACK]
     if not places:
         return None
     inner = len(lines[places[-1]]) - len(lines[places[-1]].lstrip())
     after = lines[places[-1] + 1 :]
-    ends = [place for place, line in enumerate(after) if not line[inner : inner + 1].isspace()]
+    ends = [index for index, line in enumerate(after) if not line[inner : inner + 1].isspace()]
     if not ends:
         return None
     message = after[ends[0] :]
@@ -156,12 +156,12 @@ def _crash(lines: Sequence[str]) -> str | None:
 def _word(lines: Sequence[str]) -> str | None:
     """Return the last line if it begins with an error word. Indented lines below it, such as those of a stack, belong to it."""
     belongs = (line[:1].isspace() or TRAILER.match(line) for line in reversed(lines))
-    end = next((len(lines) - 1 - place for place, more in enumerate(belongs) if not more), None)
+    end = next((len(lines) - 1 - index for index, more in enumerate(belongs) if not more), None)
     if end is None:
         return None
     line = message = lines[end]
-    while (found := PREFIX.match(message)) and found.end():
-        message = message[found.end() :]
+    while (prefix := PREFIX.match(message)) and prefix.end():
+        message = message[prefix.end() :]
     for pattern in (ERROR, UPPER, EXCEPTION):
         if (match := pattern.match(message)) and not NUMBER.match(message[match.end() :]):
             return line.strip()

@@ -48,8 +48,8 @@ def judge(result: Result, outputs: Mapping[str, Output], success: Success) -> tu
         return Status.FAILED, reason
     paths = [file.path for file in result.outputs]
     for name, output in outputs.items():
-        if output.required and (place := robot_files.lacking(output, paths, result.robots)) is not None:
-            return Status.FAILED, f"{robot_files.named(place, result.robots)} did not write {robot_files.own(output)!r}"
+        if output.required and (robot := robot_files.lacking(output, paths, result.robots)) is not None:
+            return Status.FAILED, f"{robot_files.named(robot, result.robots)} did not write {robot_files.own(output)!r}"
         if output.required and not any(map(output.matches, paths)):
             return Status.FAILED, astray.lacking(name, output, result.elsewhere, paths)
     if (reason := astray.failure(result, outputs) or claimed_twice(result, outputs)) is not None:

@@ -133,16 +133,18 @@ class TableWarnings:
         sizes: dict[str, dict[int, list[int]]] = {}
         for row in rows:
             sizes.setdefault(row.output, {}).setdefault(row.ordinal, []).append(row.rows)
-        strict = {name: found for name, found in sizes.items() if self._is_strict(name)}
+        strict = {name: by_experiment for name, by_experiment in sizes.items() if self._is_strict(name)}
         events = of_events(self._store, self._context.batch, strict)
-        for name, found in strict.items():
-            if is_uneven(found):
+        for name, by_experiment in strict.items():
+            if is_uneven(by_experiment):
                 path = min(row.path for row in rows if row.output == name)
-                yield self._proposal(name, path, [size for some in found.values() for size in some], events=name in events)
-        doubtful = [one for one in short(rows) if one[0].output in events or not self._is_strict(one[0].output)]
-        for one, least, most in doubtful[:NOTED_DOUBTS]:
+                yield self._proposal(
+                    name, path, [size for group in by_experiment.values() for size in group], events=name in events
+                )
+        doubtful = [doubt for doubt in short(rows) if doubt[0].output in events or not self._is_strict(doubt[0].output)]
+        for row, least, most in doubtful[:NOTED_DOUBTS]:
             theirs = f"{least} to {most}" if least < most else str(most)
-            whose = f"output {one.output!r} of run {digits(one.run)} has {counted(one.rows, 'row')}"
+            whose = f"output {row.output!r} of run {digits(row.run)} has {counted(row.rows, 'row')}"
             yield f"{whose}, the other runs of its experiment have {theirs}: was the run cut short?"
         if len(doubtful) > NOTED_DOUBTS:
             more = len(doubtful) - NOTED_DOUBTS
@@ -351,13 +353,15 @@ class TableWarnings:
                 )
             ]
             names = [row[0] for row in snapshot.run(f"DESCRIBE {identifier(output)}")]
-        looks = [one for one in rows if one.look not in ("number", "point")]
-        if any(one.look in ("comma", "thousands?") for one in looks):
-            looks += [one for one in rows if one.look == "point"]
-        numbers = sum(one.cells for one in rows if one.look in ("number", "point", "comma", "thousands?", "grouped", "wrapped"))
-        units = [one for one in looks if one.look.startswith("unit ")]
-        united = sum(one.cells for one in units if _unit(one) in FACTORS) or max((one.cells for one in units), default=0)
-        if 2 * (numbers + united) <= sum(one.cells for one in rows if one.look != "missing"):
+        looks = [look for look in rows if look.look not in ("number", "point")]
+        if any(look.look in ("comma", "thousands?") for look in looks):
+            looks += [look for look in rows if look.look == "point"]
+        numbers = sum(
+            look.cells for look in rows if look.look in ("number", "point", "comma", "thousands?", "grouped", "wrapped")
+        )
+        units = [look for look in looks if look.look.startswith("unit ")]
+        united = sum(look.cells for look in units if _unit(look) in FACTORS) or max((look.cells for look in units), default=0)
+        if 2 * (numbers + united) <= sum(look.cells for look in rows if look.look != "missing"):
             return None
         return "most of its values look like numbers; " + _instead(output, name, column, looks, len(rows) > len(looks), names)
 
@@ -381,18 +385,18 @@ def _unit(look: _Look) -> str:
 
 def _instead(output: str, name: str, column: str, looks: Sequence[_Look], plain: bool, names: Sequence[str]) -> str:
     """Return what to write instead of the cells that prevent a column from being numeric; `plain`: others are numbers."""
-    units = [one for one in looks if one.look.startswith("unit ")]
-    missing = [one for one in looks if one.look in ("other", "missing")]
+    units = [look for look in looks if look.look.startswith("unit ")]
+    missing = [look for look in looks if look.look in ("other", "missing")]
     if units:
         return _of_units(output, name, column, units, plain=plain or len(units) < len(looks), names=names)
-    forms = [one for one in looks if one not in missing]
-    if any(one.look == "flag" for one in forms):
+    forms = [look for look in looks if look not in missing]
+    if any(look.look == "flag" for look in forms):
         return f"it has {_examples(forms)} beside numbers; write the same words everywhere, or only 0 and 1"
-    kinds = {one.look for one in forms if one.look != "thousands?"}
+    kinds = {look.look for look in forms if look.look != "thousands?"}
     if forms and (missing or len(kinds) > 1 or "point" in kinds):
         return f"it has {_examples([*forms, *missing])}; write all of them as plain numbers"
     if forms:
-        first = next((one for one in forms if one.look in ("comma", "grouped")), forms[0])  # they say what the comma is
+        first = next((look for look in forms if look.look in ("comma", "grouped")), forms[0])  # they say what the comma is
         return _in_form(output, first)
     return _of_missing(output, missing) if missing else "some further down do not"
 
@@ -415,18 +419,18 @@ def _in_form(output: str, look: _Look) -> str:
 
 def _of_units(output: str, name: str, column: str, looks: Sequence[_Look], *, plain: bool, names: Sequence[str]) -> str:
     """Return what to do with numbers that have units; `plain`: other cells have none."""
-    first, units, called = looks[0], [_unit(one) for one in looks], _plain(column)
+    first, units, called = looks[0], [_unit(look) for look in looks], _plain(column)
 
     def converted(number: str) -> str:
-        table, at = _plain(output), next((f"{_plain(one)}, " for one in names if names_time(one)), "")
+        table, at = _plain(output), next((f"{_plain(other)}, " for other in names if names_time(other)), "")
         key, sql = re.sub(r"\W", "_", f"{output}_{column}"), f"SELECT run, {at}{number} AS {called} FROM {table}"
         return f"for example: [tables.{key}] sql = {json.dumps(sql, ensure_ascii=False)}"
 
     if len(units) == 1 and not plain:
         key = json.dumps(name, ensure_ascii=False)
         declared = f"[outputs.{output}] units = {{ {key} = {json.dumps(units[0], ensure_ascii=False)} }}"
-        made = converted(f"replace({called}, {quote(units[0])}, '')::DOUBLE")
-        return f"write {first.example!r} without {units[0]!r} ({declared} declares the unit), or convert it, {made}"
+        conversion = converted(f"replace({called}, {quote(units[0])}, '')::DOUBLE")
+        return f"write {first.example!r} without {units[0]!r} ({declared} declares the unit), or convert it, {conversion}"
     mixed = f"some have the unit {' or '.join(map(repr, units[:TEXTS]))}" + " and some have none" * plain
     known = {FACTORS[unit][0] for unit in units if unit in FACTORS}
     if plain or len(known) != 1 or not all(unit in FACTORS for unit in units):
@@ -446,8 +450,8 @@ def _plain(name: str) -> str:
 
 def _of_missing(output: str, looks: Sequence[_Look]) -> str:
     """Return what to write instead of texts among numbers."""
-    cells, texts = sum(one.cells for one in looks), [text for one in looks for text in one.texts]
-    first = next((one for one in looks if one.look == "missing"), looks[0])
+    cells, texts = sum(look.cells for look in looks), [text for look in looks for text in look.texts]
+    first = next((look for look in looks if look.look == "missing"), looks[0])
     such = counted(cells, "such cell")
     if any(re.search("[0-9]", text) for text in texts):
         return f"write {first.example!r} as a plain number, or leave the cell empty ({such})"

@@ -83,24 +83,24 @@ def _cells(line: str, delimiter: str) -> tuple[str, ...]:
 
 def _keys(lines: Sequence[str], delimiter: str) -> dict[str, Key] | None:
     """Return the keys for cells that this delimiter separates."""
-    rows = {place: _cells(line, delimiter) for place, line in enumerate(lines) if line.strip() and not MARK.match(line)}
+    rows = {index: _cells(line, delimiter) for index, line in enumerate(lines) if line.strip() and not MARK.match(line)}
     is_number = _is_number(delimiter)
     first = _first_row(rows, is_number)
     if first is None or first > MOST or (len(rows[first]) < 2 and delimiter != DELIMITERS[0]):
         return None
     width = len(rows[first])
-    above = [place for place in rows if place < first]
-    numbers = [place for place in above if len(rows[place]) == width and all(map(is_number, rows[place]))]
+    above = [index for index in rows if index < first]
+    numbers = [index for index in above if len(rows[index]) == width and all(map(is_number, rows[index]))]
     if numbers and not _is_small_table(rows, above, numbers, width):
         return None  # these are rows, too
-    marks = {place: mark[1] for place, line in enumerate(lines) if (mark := MARK.match(line))}
-    others = [line.lstrip() for place, line in enumerate(lines) if place not in marks]
+    marks = {index: mark[1] for index, line in enumerate(lines) if (mark := MARK.match(line))}
+    others = [line.lstrip() for index, line in enumerate(lines) if index not in marks]
     if any(line.startswith(tuple(marks.values())) for line in others):
         return None  # these begin like a rule
-    within = [lines[place] for place in marks if place > (above[-1] if above else first)]
+    within = [lines[index] for index in marks if index > (above[-1] if above else first)]
     if any(_may_be_row(line, _cells(line, delimiter), width) for line in within):
         return None  # these are rows, too
-    body = [rows[place] for place in rows if place >= first]
+    body = [rows[index] for index in rows if index >= first]
     is_plain = _are_numbers(body, is_number)
     keys: dict[str, Key] = {"decimal": ","} if delimiter != DELIMITERS[0] and _has_decimal_commas(body) else {}
     if has_units := len(above) == 2 and _are_units(rows[above[1]]) and not _are_units(rows[above[0]]):
@@ -113,19 +113,19 @@ def _keys(lines: Sequence[str], delimiter: str) -> dict[str, Key] | None:
             return None  # a row of texts is no header
         keys |= {"units_row": True} if has_units else {}
         keys |= {"skip": head} if skips else {}
-        keys |= _comment(mark for place, mark in marks.items() if place > head or not skips)
+        keys |= _comment(mark for index, mark in marks.items() if index > head or not skips)
     elif (head := first - 1) in marks and (names := _only_names(lines, marks, head, delimiter, width)):
         keys |= {"skip": head} if head else {}
-    elif head in marks and (declared := _declared_names([lines[place] for place in marks if place < first], delimiter, width)):
+    elif head in marks and (declared := _declared_names([lines[index] for index in marks if index < first], delimiter, width)):
         return {**keys, **_named_delimiter(delimiter), **_comment(marks.values()), "header": False, **declared}
     elif not is_plain:
         return None  # its first line may be a header with numbers in it
     else:
         blank = any(not line.strip() for line in lines[:first])  # without names, an empty line may be a row
         keys |= {"skip": first} if blank else {}
-        keys |= _comment(mark for place, mark in marks.items() if place > first or not blank)
+        keys |= _comment(mark for index, mark in marks.items() if index > first or not blank)
         return {**keys, **({"delimiter": delimiter} if delimiter == BLANKS else {}), "header": False}
-    if not _are_names(names, width) or names in [rows[place] for place in above[:-1]]:
+    if not _are_names(names, width) or names in [rows[index] for index in above[:-1]]:
         return None  # with the same names above, a run has appended to its file
     if len(above) > 1 and _are_names(rows[above[-2]], width):
         return None  # are these two lines of names?

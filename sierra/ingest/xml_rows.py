@@ -236,20 +236,20 @@ def count_tags(content: bytes, path: re.Pattern[str]) -> tuple[int, set[str], Co
     Also return the paths of the elements around them, and by path how many elements have none within: if these are at a path
     around others, their attributes are in no row.
     """
-    found, within, rows, empty = 0, [""], [0], Counter[str]()
+    count, within, rows, empty = 0, [""], [0], Counter[str]()
     around: set[str] = set()
     for tag in TAG.finditer(content):
         if tag["name"] is None:
             continue
         if not tag["end"]:
             within.append(f"{within[-1]}/{tag['name'].decode('utf-8', 'replace')}")
-            rows.append(found)
+            rows.append(count)
             if path.fullmatch(within[-1]) is not None:
-                found += 1
+                count += 1
                 around.update(within[1:-1])
         if tag["end"] or tag["empty"]:
-            empty[within.pop()] += rows.pop() == found
-    return found, around, empty
+            empty[within.pop()] += rows.pop() == count
+    return count, around, empty
 
 
 def _refuse(*_: object) -> None:

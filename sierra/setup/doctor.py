@@ -203,7 +203,7 @@ def _configured(project: LoadedProject, of: str) -> Iterator[Check]:
             path = commands.environment(platform, config).get("PATH")
             return f"{container_setup.program(command, path, inside)} in {image.name}"
         built = config.build.produces if config.build else ()
-        command = commands.command(platform, project.root, made=built, declared=declared, project=config)
+        command = commands.command(platform, project.root, produced=built, declared=declared, project=config)
         words = commands.fill(command, project.root)
         if built and not Path(words[0]).exists() and Path(words[0]).is_relative_to(project.root):
             return f"{words[0]}, which [build] makes"

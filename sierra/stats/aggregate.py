@@ -166,7 +166,7 @@ def coverage(column: Column, *, several: bool = False) -> Coverage:
         raise SierraError("no run has written any row of this output yet; there is nothing to compute")
     ascending = all(row["ascending"] for row in rows)
     timed = [row for row in rows if row["first"] is not None]
-    found = Coverage(
+    amount = Coverage(
         runs={row["experiment"]: row["runs"] for row in rows},
         rows=sum(row["rows"] for row in rows),
         most=max(row["most"] for row in rows),
@@ -178,8 +178,8 @@ def coverage(column: Column, *, several: bool = False) -> Coverage:
         ends={row["experiment"]: (row["earliest"], row["last"]) for row in timed},
     )
     if not several:
-        check_times(found)
-    return found
+        check_times(amount)
+    return amount
 
 
 def _number_of(column: Column, name: str) -> int:
@@ -336,8 +336,8 @@ class ColumnStatistics:
         own = numpy_of(self.column.sql("SELECT DISTINCT shared_t AS t FROM samples WHERE isfinite(t) ORDER BY t").column("t"))
         after = np.clip(np.searchsorted(own, even), 1, max(1, len(own) - 1))
         near = np.where(even - own[after - 1] < own[after % len(own)] - even, own[after - 1], own[after % len(own)])
-        found: list[float] = np.where(np.abs(near - even) <= limit, near, even).tolist()
-        return found
+        times: list[float] = np.where(np.abs(near - even) <= limit, near, even).tolist()
+        return times
 
     def _run(self, text: str, statistics: Wanted, *, rate: bool, **params: Parameter) -> Statistics:
         most = max(self.coverage.runs.values())
@@ -393,7 +393,7 @@ def statement(observations: str, grouping: str, statistics: Wanted) -> str:
     parts = _groups(grouping, keys, "".join(map(_code, (*texts, *columns))))
     if selection:
         never = () if grouping == "group_by_time" else ("never",)
-        own = [name for one in selection.formulas for name in _columns(one)]
+        own = [name for formula in selection.formulas for name in _columns(formula)]
         shown = ",\n  ".join((keys, "n", "missing", "infinite", *never, *own, *columns))
     else:
         shown = f"* EXCLUDE ({', '.join(re.findall(STEP, _code(''.join((*parts.values(), *texts)))))})"
@@ -466,13 +466,13 @@ def _t(most: int, level: float) -> list[float]:
 
 def _ordered(wanted: Iterable[str]) -> tuple[str, ...]:
     """Return the wanted statistics and those that their formulas use, in the order of `STATISTICS`; `n` always."""
-    found = {"n"}
+    used = {"n"}
     queue = list(wanted)
     while queue:
         name = queue.pop()
-        found.add(name)
+        used.add(name)
         queue += STATISTICS[name]
-    return tuple(name for name in STATISTICS if name in found)
+    return tuple(name for name in STATISTICS if name in used)
 
 
 @cache
@@ -496,9 +496,9 @@ def _values(columns: Mapping[str, Column], figure: Figure) -> pa.Table:
     """Return the finite values of runs: `experiment`, `run`, `value`, and for further columns `value_2` and so on."""
     steps = figure.times == "carry"
     first, *others = (reduced(column, figure.measure, figure.threshold, steps=steps) for column in columns.values())
-    for place, table in enumerate(others, 2):
+    for number, table in enumerate(others, 2):
         keys = ["experiment", "run"]
-        first = first.join(table.rename_columns([*keys, f"value_{place}"]), keys, join_type="inner")
+        first = first.join(table.rename_columns([*keys, f"value_{number}"]), keys, join_type="inner")
     return first.sort_by([("experiment", "ascending"), ("run", "ascending")]) if others else first
 
 

@@ -72,7 +72,7 @@ def _interval(
 
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore", stats.DegenerateDataWarning)
-        found = stats.bootstrap(
+        interval = stats.bootstrap(
             (x,),
             function,
             n_resamples=options.resamples,
@@ -83,4 +83,4 @@ def _interval(
             method=method,
             rng=np.random.default_rng(options.seed),
         ).confidence_interval
-    return float(found.low), float(found.high)
+    return float(interval.low), float(interval.high)

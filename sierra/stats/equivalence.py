@@ -88,8 +88,8 @@ def power(delta: float, t: float, df: int) -> float:
 
     begin, end = (math.sqrt(special.gammaincinv(half, p) / half) for p in (NEVER, 1 - NEVER))
     end = min(end, delta / t)
-    found = integrate.quad(shown, begin, end, epsabs=1e-9, limit=100, full_output=True)[0] if begin < end else 0.0
-    return min(1.0, max(0.0, float(found)))
+    integral = integrate.quad(shown, begin, end, epsabs=1e-9, limit=100, full_output=True)[0] if begin < end else 0.0
+    return min(1.0, max(0.0, float(integral)))
 
 
 def _error(differences: Sequence[float]) -> float:

@@ -20,7 +20,7 @@ from functools import lru_cache
 @lru_cache(maxsize=64)
 def low_ranks(p: float, most: int, alpha: float) -> tuple[int | None, ...]:
     """Return for n = 1 … `most` the rank l of the lower end, counted from 1; None if n is too small. 0 < p < 1."""
-    found: list[int | None] = []
+    lower_ranks: list[int | None] = []
     k, below, at = -1, 0.0, 0.0  # the largest k with P(B ≤ k) ≤ α / 2, that probability, and P(B = k)
     for n in range(1, most + 1):
         if k >= 0:
@@ -30,8 +30,8 @@ def low_ranks(p: float, most: int, alpha: float) -> tuple[int | None, ...]:
             if below + following > alpha / 2:
                 break
             k, below, at = k + 1, below + following, following
-        found.append(k + 1 if k >= 0 else None)
-    return tuple(found)
+        lower_ranks.append(k + 1 if k >= 0 else None)
+    return tuple(lower_ranks)
 
 
 def ranks(p: float, most: int, alpha: float) -> tuple[list[int | None], list[int | None]]:

@@ -1,4 +1,4 @@
-"""How many runs a comparison of two groups needs, by resampling a pilot with the tests of `sierra compare`.
+"""The number of runs that a comparison of two groups needs, by resampling a pilot with the tests of `sierra compare`.
 
 For n runs of each group, runs (or pairs of runs with the same seed) are drawn from the pilot with replacement, many times. The
 power is the part of these samples in which the test finds a difference: its p value is at most alpha. So no distribution is
@@ -48,7 +48,7 @@ class Pilot:
     second: Floats
     paired: bool
     shift: float = 0.0
-    """What is added to values of the second group."""
+    """The number that is added to values of the second group."""
     rates: tuple[float, float] | None = None
     """The rates of both groups, if the values are 0 or 1 and get another difference than that of the pilot."""
     rate: bool = False
@@ -107,8 +107,8 @@ class Pilot:
             places = random.integers(len(self.first), size=(RESAMPLES, n))
             return self.first[places], _turned(self.second[places], float(self.second.mean()), self.rates[1], random)
         if self.rates is not None:
-            one, other = (random.random((RESAMPLES, n)) < rate for rate in self.rates)
-            return one.astype(float), other.astype(float)
+            first, second = (random.random((RESAMPLES, n)) < rate for rate in self.rates)
+            return first.astype(float), second.astype(float)
         places = random.integers(len(self.first), size=(RESAMPLES, n))
         others = places if self.paired else random.integers(len(self.second), size=(RESAMPLES, n))
         shift: float | Floats = self.shift
@@ -130,7 +130,7 @@ class Pilot:
                 )
         first, second = ties.rounded(first, self.spread), ties.rounded(second, self.spread)
         if exact:
-            return np.array([rank_tests.rank_sum(one, other) for one, other in zip(first, second, strict=True)])
+            return np.array([rank_tests.rank_sum(x, y) for x, y in zip(first, second, strict=True)])
         with np.errstate(invalid="ignore"):  # all values are equal
             return _valid(stats.mannwhitneyu(second, first, axis=1, method="asymptotic").pvalue)
 

@@ -88,8 +88,8 @@ def of_pairs(pairs: Pairs, z: float) -> Interval:
     return square_and_add(first, second, _phi(pairs))
 
 
-def _length(one: float, other: float, phi: float) -> float:
-    return math.sqrt(max(0.0, one * one - 2 * phi * one * other + other * other))
+def _length(a: float, b: float, phi: float) -> float:
+    return math.sqrt(max(0.0, a * a - 2 * phi * a * b + b * b))
 
 
 def _phi(pairs: Pairs) -> float:
@@ -110,8 +110,8 @@ def within(interval: Callable[[float], Interval], margin: float) -> float:
     low, high = 0.0, LARGEST_Z
     for _ in range(60):
         z = (low + high) / 2
-        found = interval(z)
-        low, high = (z, high) if -margin < found.low and found.high < margin else (low, z)
+        estimate = interval(z)
+        low, high = (z, high) if -margin < estimate.low and estimate.high < margin else (low, z)
     return math.erfc(low / math.sqrt(2)) / 2 if low < LARGEST_Z * (1 - 1e-9) else 0.0
 
 
@@ -119,7 +119,7 @@ def fisher(first: tuple[int, int], second: tuple[int, int]) -> float:
     """Return the two-sided p value of Fisher's exact test; each is the number of successes and n."""
     from scipy import stats
 
-    return min(1.0, float(stats.fisher_exact([[one, n - one] for one, n in (first, second)]).pvalue))
+    return min(1.0, float(stats.fisher_exact([[k, n - k] for k, n in (first, second)]).pvalue))
 
 
 def smallest_fisher(first: int, second: int) -> float:
@@ -142,8 +142,8 @@ def freeman_halton(groups: Sequence[tuple[int, int]]) -> tuple[float, bool]:
     """
     if sum(n for _, n in groups) > RUNS:
         return _drawn(groups), False
-    successes = sum(one for one, _ in groups)
-    observed = math.prod(math.comb(n, one) for one, n in groups)
+    successes = sum(k for k, _ in groups)
+    observed = math.prod(math.comb(n, k) for k, n in groups)
     states = {(0, 1): 1}
     """The number of tables by their successes and their product of binomial coefficients, group after group."""
     left = sum(n for _, n in groups)
@@ -167,9 +167,9 @@ def _drawn(groups: Sequence[tuple[int, int]]) -> float:
     import numpy as np
     from scipy import special
 
-    found, n = (np.array(numbers) for numbers in zip(*groups, strict=True))
-    tables = np.random.default_rng(SEED).multivariate_hypergeometric(n, int(found.sum()), DRAWS)
-    every = np.vstack([found, tables])
+    observed, n = (np.array(numbers) for numbers in zip(*groups, strict=True))
+    tables = np.random.default_rng(SEED).multivariate_hypergeometric(n, int(observed.sum()), DRAWS)
+    every = np.vstack([observed, tables])
     logarithms = -(special.gammaln(every + 1) + special.gammaln(n - every + 1)).sum(axis=1)
     return float(np.mean(logarithms <= logarithms[0] + 1e-9))
 

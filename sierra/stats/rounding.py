@@ -41,16 +41,16 @@ def rounded(value: float, low: float | None = None, high: float | None = None) -
     half = (
         Decimal(repr(high)) / 2 - Decimal(repr(low)) / 2 if low is not None and high is not None else Decimal(repr(max(reach)))
     )
-    place = _last(half) if half else _exponent(value) - ALONE + 1
+    last_digit = _last(half) if half else _exponent(value) - ALONE + 1
     exponent = _shown(max(_exponent(value), _exponent(float(half))))
-    text = _text(value, exponent, place, whole=not half)
+    text = _text(value, exponent, last_digit, whole=not half)
     if (
         low is not None
         and high is not None
         and isclose(high - value, value - low, rel_tol=1e-6, abs_tol=1e-9 * abs(float(half)))
     ):
-        return Rounded(text, half=_text(float(half), exponent, place) if half else "0", exponent=exponent)
-    first, second = ("∞" if end is None else _text(end, exponent, place, whole=not half) for end in (low, high))
+        return Rounded(text, half=_text(float(half), exponent, last_digit) if half else "0", exponent=exponent)
+    first, second = ("∞" if end is None else _text(end, exponent, last_digit, whole=not half) for end in (low, high))
     return Rounded(text, ends=(f"−{first}" if low is None else first, second), exponent=exponent)
 
 
@@ -70,13 +70,13 @@ def _shown(exponent: int) -> int:
 
 def _last(half: Decimal) -> int:
     """Return the power of ten of the second significant digit, after rounding: 0.0996 is 0.10, not 0.100."""
-    place = half.adjusted() - PRECISE + 1
-    return half.quantize(Decimal(1).scaleb(place)).adjusted() - PRECISE + 1
+    digit = half.adjusted() - PRECISE + 1
+    return half.quantize(Decimal(1).scaleb(digit)).adjusted() - PRECISE + 1
 
 
-def _text(value: float, exponent: int, place: int, *, whole: bool = False) -> str:
-    """Return a number divided by a power of ten, rounded to the digit of `place`. `whole`: without zeros at the end."""
-    scaled = Decimal(repr(value)).scaleb(-exponent).quantize(Decimal(1).scaleb(place - exponent))
+def _text(value: float, exponent: int, last_digit: int, *, whole: bool = False) -> str:
+    """Return a number divided by a power of ten, rounded to the digit of `last_digit`. `whole`: without zeros at the end."""
+    scaled = Decimal(repr(value)).scaleb(-exponent).quantize(Decimal(1).scaleb(last_digit - exponent))
     text = format(scaled if scaled else abs(scaled), "f")
     if whole and "." in text:
         text = text.rstrip("0").rstrip(".")

@@ -66,29 +66,31 @@ class Selection:
     @property
     def uses(self) -> tuple[str, ...]:
         """Return the shipped formulas that the statement has."""
-        steps = (step for one in self.definitions.values() if isinstance(one, Formula) for step in one.uses)
+        steps = (
+            step for definition in self.definitions.values() if isinstance(definition, Formula) for step in definition.uses
+        )
         return (*self.formulas, *steps)
 
     @property
     def functions(self) -> Mapping[str, Function]:
-        return {name: one for name, one in self.definitions.items() if isinstance(one, Function)}
+        return {name: definition for name, definition in self.definitions.items() if isinstance(definition, Function)}
 
     def columns(self) -> list[str]:
         """Return the columns of a statement: those of formulas, and the values for functions."""
-        found = []
-        for name, one in self.definitions.items():
-            if isinstance(one, Formula):
-                texts = (one.value, one.low, one.high, self._method(name, one))
-                found += [f'{text} AS "{name}{part}"' for text, part in zip(texts, PARTS, strict=True)]
-        return [*found, *(["x"] if self.functions else [])]
+        columns = []
+        for name, definition in self.definitions.items():
+            if isinstance(definition, Formula):
+                texts = (definition.value, definition.low, definition.high, self._method(name, definition))
+                columns += [f'{text} AS "{name}{part}"' for text, part in zip(texts, PARTS, strict=True)]
+        return [*columns, *(["x"] if self.functions else [])]
 
     def _method(self, name: str, formula: Formula) -> str:
         return formula.method or f"CASE WHEN {formula.low} IS NOT NULL THEN {quote(self.statistics[name].interval)} END"
 
     def parameters(self, most: int) -> dict[str, Parameter]:
         """Return the parameters of the formulas. `most` is the largest number of runs of an experiment."""
-        formulas = [one for one in self.definitions.values() if isinstance(one, Formula)]
-        return {name: value for one in formulas for name, value in one.parameters(most).items()}
+        formulas = [formula for formula in self.definitions.values() if isinstance(formula, Formula)]
+        return {name: value for formula in formulas for name, value in formula.parameters(most).items()}
 
     def documented(self) -> str:
         """Return comments on statistics: the options of those that Python functions compute, and the packages of plug-ins."""
@@ -127,15 +129,15 @@ class Selection:
     def notes(self, table: pa.Table) -> list[str]:
         """Return notes on intervals that are missing because there are too few runs, and on bootstraps."""
         n = table.column("n").to_pylist()
-        found = []
+        notes = []
         for name, statistic in self.statistics.items():
             low = table.column(f"{name}_low").to_pylist()
             lacking = sum(end is None and count > 0 for end, count in zip(low, n, strict=True))
             if not statistic.interval:
-                found.append(f"{name} has no interval")
+                notes.append(f"{name} has no interval")
             elif lacking:
-                found.append(f"n is too small for the {100 * self.level:.4g} % interval of {name} in {counted(lacking, 'row')}")
-        return found
+                notes.append(f"n is too small for the {100 * self.level:.4g} % interval of {name} in {counted(lacking, 'row')}")
+        return notes
 
 
 def defined(name: str, statistic: Statistic, level: float) -> Formula | Function:
@@ -147,14 +149,14 @@ def defined(name: str, statistic: Statistic, level: float) -> Formula | Function
     return statistic.definition(level)
 
 
-def _checked(name: str, found: Estimate) -> Estimate:
+def _checked(name: str, estimate: Estimate) -> Estimate:
     """Return an estimate of a function. Raises PluginError if its interval is none."""
-    numbers = [number for number in (found.low, found.value, found.high) if number is not None]
+    numbers = [number for number in (estimate.low, estimate.value, estimate.high) if number is not None]
     if len(numbers) == 2 or not all(map(isfinite, numbers)) or numbers != sorted(numbers):
         raise PluginError(
-            f"statistic {name!r} returned {found}; an interval has two finite ends, and the value is between them"
+            f"statistic {name!r} returned {estimate}; an interval has two finite ends, and the value is between them"
         )
-    return found
+    return estimate
 
 
 def with_estimates(table: pa.Table, name: str, estimates: Sequence[Estimate], method: str) -> pa.Table:
@@ -162,10 +164,10 @@ def with_estimates(table: pa.Table, name: str, estimates: Sequence[Estimate], me
     import pyarrow as pa
 
     columns = (
-        pa.array([one.value for one in estimates], pa.float64()),
-        pa.array([one.low for one in estimates], pa.float64()),
-        pa.array([one.high for one in estimates], pa.float64()),
-        pa.array([None if one.low is None else method for one in estimates], pa.string()),
+        pa.array([estimate.value for estimate in estimates], pa.float64()),
+        pa.array([estimate.low for estimate in estimates], pa.float64()),
+        pa.array([estimate.high for estimate in estimates], pa.float64()),
+        pa.array([None if estimate.low is None else method for estimate in estimates], pa.string()),
     )
     for part, column in zip(PARTS, columns, strict=True):
         table = table.append_column(f"{name}{part}", column)

@@ -92,9 +92,9 @@ class Quantile:
         self._name = name.replace(".", "_")
 
     def definition(self, level: float = LEVEL) -> Formula:
-        place = f"((n - 1) * ${self._name}_p)"
-        below, above = f"x[1 + floor({place})::INTEGER]", f"x[least(n, 2 + floor({place})::INTEGER)]"
-        part = f"({place} - floor({place}))"
+        position = f"((n - 1) * ${self._name}_p)"
+        below, above = f"x[1 + floor({position})::INTEGER]", f"x[least(n, 2 + floor({position})::INTEGER)]"
+        part = f"({position} - floor({position}))"
         value = (
             f"CASE WHEN {below} = {above} THEN {below} WHEN isfinite({above} - {below}) "
             f"THEN {below} + {part} * ({above} - {below}) ELSE (1 - {part}) * {below} + {part} * {above} END"

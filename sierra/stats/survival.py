@@ -77,7 +77,7 @@ def times(column: Column, threshold: float) -> dict[int, tuple[Time, ...]]:
     """Return the times of all runs that have a value, by experiment, in ascending order."""
     rows = column.sql(statement(), threshold=threshold).to_pylist()
     by_experiment = groupby(rows, key=lambda row: int(row["experiment"]))
-    return {experiment: tuple(Time(row["time"], row["reached"]) for row in found) for experiment, found in by_experiment}
+    return {experiment: tuple(Time(row["time"], row["reached"]) for row in runs) for experiment, runs in by_experiment}
 
 
 def curve(runs: Iterable[Time]) -> tuple[Step, ...]:
@@ -107,10 +107,10 @@ def median(steps: Sequence[Step]) -> Estimate:
     """Return the median time with its interval; None if fewer than half of the runs reach the threshold."""
     events = [step for step in steps if step.reached]
     value = None
-    for place, step in enumerate(events):
+    for index, step in enumerate(events):
         if step.remaining <= HALF + ROUNDING:
-            flat = step.remaining > HALF - ROUNDING and place + 1 < len(events)
-            value = (step.time + events[place + 1].time) / 2 if flat else step.time
+            flat = step.remaining > HALF - ROUNDING and index + 1 < len(events)
+            value = (step.time + events[index + 1].time) / 2 if flat else step.time
             break
     low, high = (_first(step.time for step in events if _at_most_half(end(step))) for end in (_low, _high))
     return Estimate(value, low if value is not None else None, high if value is not None else None)
@@ -128,8 +128,8 @@ def _at_most_half(end: float | None) -> bool:
     return end is not None and end <= HALF
 
 
-def _first(found: Iterable[float]) -> float | None:
-    return next(iter(found), None)
+def _first(ascending: Iterable[float]) -> float | None:
+    return next(iter(ascending), None)
 
 
 def horizon(curves: Iterable[Sequence[Step]]) -> float:
@@ -151,7 +151,7 @@ def restricted_mean(steps: Sequence[Step], until: float, origin: float = 0.0) ->
         for height, start, stop in zip(heights, starts, [*starts[1:], max(until, starts[-1])], strict=True)
     ]
     value = math.fsum(pieces)
-    after = [math.fsum(pieces[place + 1 :]) for place in range(len(shown))]
+    after = [math.fsum(pieces[index + 1 :]) for index in range(len(shown))]
     variance = math.fsum(
         area * area * step.reached / (step.at_risk * (step.at_risk - step.reached))
         for area, step in zip(after, shown, strict=True)
@@ -166,17 +166,17 @@ def restricted_mean(steps: Sequence[Step], until: float, origin: float = 0.0) ->
 def estimates(curves: Mapping[int, Sequence[Step]], name: str) -> dict[int, Estimate]:
     """Return one of `STATISTICS` for each curve. The restricted means have the same τ, that of `horizon`."""
     if name == "km_median":
-        return {place: median(steps) for place, steps in curves.items()}
+        return {experiment: median(steps) for experiment, steps in curves.items()}
     until = horizon(curves.values())
     origin = min(0.0, *(steps[0].time for steps in curves.values()))
-    return {place: restricted_mean(steps, until, origin) for place, steps in curves.items()}
+    return {experiment: restricted_mean(steps, until, origin) for experiment, steps in curves.items()}
 
 
 def with_statistics(table: pa.Table, curves: Mapping[int, Sequence[Step]], names: Iterable[str]) -> pa.Table:
     """Return a table of experiments with the columns of these statistics."""
     for name in names:
-        found = estimates(curves, name) if curves else {}
-        rows = [found.get(place, Estimate(None)) for place in table.column("experiment").to_pylist()]
+        of_experiments = estimates(curves, name) if curves else {}
+        rows = [of_experiments.get(experiment, Estimate(None)) for experiment in table.column("experiment").to_pylist()]
         table = with_estimates(table, name, rows, STATISTICS[name])
     return table
 
@@ -185,13 +185,13 @@ def curves_table(curves: Mapping[int, Sequence[Step]]) -> pa.Table:
     """Return all curves: `experiment`, `t`, and the fields of `Step`."""
     import pyarrow as pa
 
-    rows = [(place, step) for place, steps in sorted(curves.items()) for step in steps]
+    rows = [(experiment, step) for experiment, steps in sorted(curves.items()) for step in steps]
     counts = {
         name: pa.array([getattr(step, name) for _, step in rows], pa.int64()) for name in ("at_risk", "reached", "censored")
     }
     parts = {name: pa.array([getattr(step, name) for _, step in rows], pa.float64()) for name in ("remaining", "low", "high")}
     keys = {
-        "experiment": pa.array([place for place, _ in rows], pa.int32()),
+        "experiment": pa.array([experiment for experiment, _ in rows], pa.int32()),
         "t": pa.array([step.time for _, step in rows], pa.float64()),
     }
     return pa.table({**keys, **counts, **parts})

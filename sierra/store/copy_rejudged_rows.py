@@ -19,10 +19,12 @@ ROWS = "SELECT o.* REPLACE (m.made AS execution) FROM {files} o JOIN made m ON o
 HOLDING = "SELECT DISTINCT o.filename FROM {files} o SEMI JOIN made m ON o.execution = m.known"
 
 
-def write_again(snapshot: Snapshot, writer: Writer, outputs: Iterable[str], made: Mapping[str, str]) -> dict[str, int]:
+def write_again(
+    snapshot: Snapshot, writer: Writer, outputs: Iterable[str], new_judgements: Mapping[str, str]
+) -> dict[str, int]:
     """Write the rows of these outputs again, in their order, under new judgements.
 
-    `outputs` are names in lower case. `made` maps each known judgement to the new judgement.
+    `outputs` are names in lower case. `new_judgements` maps each known judgement to the new judgement.
     Return the number of rows per output. Raises Missing if the disk is full, Damaged if the store cannot be read.
     """
     import duckdb
@@ -30,7 +32,9 @@ def write_again(snapshot: Snapshot, writer: Writer, outputs: Iterable[str], made
 
     connection = connect()
     try:
-        connection.register("made", pa.table({"known": pa.array(list(made), pa.string()), "made": list(made.values())}))
+        connection.register(
+            "made", pa.table({"known": pa.array(list(new_judgements), pa.string()), "made": list(new_judgements.values())})
+        )
         keep_order(connection)
         return {name: _output(connection, snapshot, writer, name) for name in sorted(set(outputs))}
     except duckdb.IOException as error:

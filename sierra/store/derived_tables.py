@@ -253,7 +253,7 @@ class DerivedTables:
             if name not in known:
                 names = [
                     *self._outputs.values(),
-                    *(one.name for one in self.definitions.values() if not one.name.startswith("# ")),
+                    *(other.name for other in self.definitions.values() if not other.name.startswith("# ")),
                     *sorted(TABLE_NAMES),
                 ]
                 raise SqlError(f"{definition.origin}: there is no table {spelled!r}; {like(spelled, names, 'tables are')}")

@@ -17,9 +17,9 @@ class Facts(NamedTuple):
     numbers: Mapping[str, int]
     """Their numbers in the index, by name."""
     ignored: frozenset[str]
-    """Those that were ignored when the index was built: it has none of their rows."""
+    """The segments that were ignored when the index was built: it has none of their rows."""
     replacing: frozenset[str]
-    """Those that replace others."""
+    """The segments that replace others."""
     replaced: frozenset[str]
     """The segments that these replace."""
     after: frozenset[str]

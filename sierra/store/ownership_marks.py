@@ -78,11 +78,11 @@ def _check_link(store: StorePaths) -> None:
     work = store.work
     if work.stat().st_dev != store.root.stat().st_dev:
         raise Missing(f"{work} is a link to another file system ({work.resolve()}); {ADVICE}")
-    if held := _others(work):
+    if held := _other_names(work):
         raise Missing(f"{work} is a link to {work.resolve()}, which contains other files ({held[0]!r}, …); {ADVICE}")
 
 
-def _others(folder: Path) -> list[str]:
+def _other_names(folder: Path) -> list[str]:
     """Return the names in a folder, without its lock and its mark, complete or unfinished."""
     own = ("lock", StorePaths.MARK)
     return sorted(
@@ -136,7 +136,7 @@ def make_elsewhere(store: StorePaths, session: SessionPaths, folder: Path) -> Se
     own = identity(store)
     mine = folder / own
     mine.mkdir(parents=True, exist_ok=True)
-    if mine.is_symlink() or (_others(mine) and not _is_marked(mine, own)):
+    if mine.is_symlink() or (_other_names(mine) and not _is_marked(mine, own)):
         raise Missing(f"{mine} was not made by SIERRA; move it away, or change [store] work_folder")
     write_once(mine / StorePaths.MARK, f"{own}\n".encode())
     runs = mine / session.root.name

@@ -478,9 +478,9 @@ class disk_errors:
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if isinstance(error, OSError):
-            raise Missing(f"cannot write to {self._place(error)}: {error.strerror or error}") from error
+            raise Missing(f"cannot write to {self._unwritable(error)}: {error.strerror or error}") from error
 
-    def _place(self, error: OSError) -> Path:
+    def _unwritable(self, error: OSError) -> Path:
         """Return the file that may not be written, as users know it; else the folder."""
         path = error.filename2 or error.filename
         if error.errno not in (errno.EACCES, errno.EPERM) or not isinstance(path, str | Path):

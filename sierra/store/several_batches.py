@@ -44,7 +44,7 @@ class Joined:
     table: pa.Table
     sql: str
     undefined: tuple[str, ...] = ()
-    """If wanted: the columns with NaN, as `table.column`, that the statement names, or that of a derived table that it reads.
+    """The columns with NaN, as `table.column`, that the statement or a derived table that it reads names; empty unless wanted.
 
     Statements that call a function that tells NaN apart are left out."""
 

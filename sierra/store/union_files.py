@@ -101,10 +101,10 @@ def relation(
     """
 
     def ask(sources: Sequence[RowSource], what: str) -> int:
-        found = answers([source for source in sources if isinstance(source, str)], what) if answers else {}
-        unknown = [source for source in sources if not (isinstance(source, str) and source in found)]
+        answered = answers([source for source in sources if isinstance(source, str)], what) if answers else {}
+        unknown = [source for source in sources if not (isinstance(source, str) and source in answered)]
         [(value,)] = fetch(f"SELECT {what} FROM {_rows(unknown)} WHERE {where}") if unknown else [(0,)]
-        return reduce(or_, found.values(), int(value or 0))  # NULL if there are no rows
+        return reduce(or_, answered.values(), int(value or 0))  # NULL if there are no rows
 
     verify(file for file in files if isinstance(file, str))
     described = _described(fetch, files, known or {})

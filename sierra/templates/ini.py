@@ -208,8 +208,8 @@ class _Reader:
             return "has : and =, which programs read in different ways; write it with = alone"
         return ""
 
-    def _wrong(self, place: int, what: str) -> Exception:
-        return failure(self._name, self._text, place, f"not {self._format}: {what}")
+    def _wrong(self, position: int, what: str) -> Exception:
+        return failure(self._name, self._text, position, f"not {self._format}: {what}")
 
 
 def _indent(line: str) -> int:

@@ -155,11 +155,11 @@ class _Comparison:
     def _steps_to(self, siblings: Sequence[Element]) -> Iterator[tuple[Element, str]]:
         """Yield each child with the step of a path that leads to it."""
         counted = Counter(call for child in siblings for call in self._called(child))
-        place: Counter[str] = Counter()
+        position: Counter[str] = Counter()
         for child in siblings:
-            place[child.tag] += 1
+            position[child.tag] += 1
             alone = (call for call in self._called(child) if counted[call] == 1)
-            yield child, next(alone, f"{self._name(child.tag)}[{place[child.tag]}]")
+            yield child, next(alone, f"{self._name(child.tag)}[{position[child.tag]}]")
 
     def _called(self, element: Element) -> list[str]:
         """Return the possible steps of a path to an element: its tag, with its id, with its name."""
@@ -194,7 +194,7 @@ def _named(children: Sequence[Element]) -> dict[tuple[str, str, str], int]:
     tags = Counter(child.tag for child in children)
     names = [_name_of(child, tags) for child in children]
     counted = Counter(names)
-    return {name: place for place, name in enumerate(names) if name is not None and counted[name] == 1}
+    return {name: position for position, name in enumerate(names) if name is not None and counted[name] == 1}
 
 
 def _name_of(child: Element, tags: Counter[str]) -> tuple[str, str, str] | None:
@@ -206,9 +206,9 @@ def _name_of(child: Element, tags: Counter[str]) -> tuple[str, str, str] | None:
 def _by_tag(old: Sequence[Element], new: Sequence[Element], left: Sequence[int], right: Sequence[int]) -> dict[int, int]:
     """Return pairs of children with the same tag (and name, if they have one), in their order."""
     waiting: dict[tuple[str | None, ...], list[int]] = {}
-    for place in reversed(right):
-        waiting.setdefault(_kind(new[place]), []).append(place)
-    return {place: same.pop() for place in left if (same := waiting.get(_kind(old[place])))}
+    for position in reversed(right):
+        waiting.setdefault(_kind(new[position]), []).append(position)
+    return {position: same.pop() for position in left if (same := waiting.get(_kind(old[position])))}
 
 
 def _kind(child: Element) -> tuple[str | None, ...]:

@@ -63,16 +63,16 @@ class _Scanner:
             raise self._wrong(end, "text after the end of the document")
         return node
 
-    def _value(self, place: int, depth: int) -> Node:
-        first = self._text[place : place + 1]
+    def _value(self, position: int, depth: int) -> Node:
+        first = self._text[position : position + 1]
         if first in ("{", "["):
             if depth == DEPTH:
-                raise self._wrong(place, f"more than {DEPTH} levels of lists and objects")
-            return self._members(place, depth + 1)
+                raise self._wrong(position, f"more than {DEPTH} levels of lists and objects")
+            return self._members(position, depth + 1)
         if first == '"':
-            value, end = self._string(place)
-            return Node(Kind.TEXT, place, end, value)
-        return self._word(place)
+            value, end = self._string(position)
+            return Node(Kind.TEXT, position, end, value)
+        return self._word(position)
 
     def _members(self, offset: int, depth: int) -> Node:
         is_object = self._text[offset] == "{"
@@ -89,54 +89,54 @@ class _Scanner:
         node.end = offset + 1
         return node
 
-    def _item(self, place: int, depth: int) -> Node:
-        node = self._value(place, depth)
+    def _item(self, position: int, depth: int) -> Node:
+        node = self._value(position, depth)
         node.entries = [(node.start, node.end)]
         return node
 
-    def _member(self, place: int, depth: int, keys: set[str]) -> Node:
-        if self._text[place : place + 1] != '"':
-            raise self._wrong(place, "a key in double quotes is expected")
-        key, end = self._string(place)
+    def _member(self, position: int, depth: int, keys: set[str]) -> Node:
+        if self._text[position : position + 1] != '"':
+            raise self._wrong(position, "a key in double quotes is expected")
+        key, end = self._string(position)
         if key in keys:
-            raise self._wrong(place, f"the key {key!r} occurs twice")
+            raise self._wrong(position, f"the key {key!r} occurs twice")
         keys.add(key)
         node = self._value(self._skip(self._expect(self._skip(end), ":")), depth)
-        node.key, node.keys, node.entries = key, [(place, end)], [(place, node.end)]
+        node.key, node.keys, node.entries = key, [(position, end)], [(position, node.end)]
         return node
 
-    def _word(self, place: int) -> Node:
-        match = _WORD.match(self._text, place)
+    def _word(self, position: int) -> Node:
+        match = _WORD.match(self._text, position)
         word = match[0] if match else ""
         if word in _WORDS:
-            return Node(_WORDS[word], place, place + len(word), word)
+            return Node(_WORDS[word], position, position + len(word), word)
         if not NUMBER.fullmatch(word):
-            raise self._wrong(place, f"{word[:40]!r} is not a value of JSON" if word else self._unexpected(place))
+            raise self._wrong(position, f"{word[:40]!r} is not a value of JSON" if word else self._unexpected(position))
         if too_large(word):
-            raise self._wrong(place, f"the number {word[:20]}… is too large")
-        return Node(Kind.NUMBER, place, place + len(word), word)
+            raise self._wrong(position, f"the number {word[:20]}… is too large")
+        return Node(Kind.NUMBER, position, position + len(word), word)
 
-    def _string(self, place: int) -> tuple[str, int]:
+    def _string(self, position: int) -> tuple[str, int]:
         try:
-            value, end = scanstring(self._text, place + 1, True)
+            value, end = scanstring(self._text, position + 1, True)
             return str(value), int(end)
         except json.JSONDecodeError as error:
             raise self._wrong(error.pos, f"{error.msg[0].lower()}{error.msg[1:].removesuffix(' at')} in a string") from error
 
-    def _expect(self, place: int, sign: str) -> int:
-        if self._text[place : place + 1] != sign:
-            raise self._wrong(place, f"{sign!r} is expected; {self._unexpected(place)}")
-        return place + 1
+    def _expect(self, position: int, sign: str) -> int:
+        if self._text[position : position + 1] != sign:
+            raise self._wrong(position, f"{sign!r} is expected; {self._unexpected(position)}")
+        return position + 1
 
-    def _unexpected(self, place: int) -> str:
-        found = self._text[place : place + 2]
+    def _unexpected(self, position: int) -> str:
+        found = self._text[position : position + 2]
         if found in ("//", "/*") or found[:1] == "#":
             return "comments are not allowed in JSON"
         return f"{found[0]!r} is not allowed there" if found else "the document ends too early"
 
-    def _skip(self, place: int) -> int:
-        match = _SPACE.match(self._text, place)
-        return match.end() if match else place
+    def _skip(self, position: int) -> int:
+        match = _SPACE.match(self._text, position)
+        return match.end() if match else position
 
-    def _wrong(self, place: int, what: str) -> Exception:
-        return failure(self._name, self._text, place, f"not JSON: {what}")
+    def _wrong(self, position: int, what: str) -> Exception:
+        return failure(self._name, self._text, position, f"not JSON: {what}")

@@ -83,7 +83,7 @@ class _Search:
 def _steps(path: str) -> list[str]:
     """Split a path into steps: `//swarm/@count` into `//swarm` and `/@count`."""
     path = path.strip()
-    starts = [place for place in outside(path, "/") if place and path[place - 1] != "/"]
+    starts = [position for position in outside(path, "/") if position and path[position - 1] != "/"]
     return [path[start:end] for start, end in pairwise((0, *starts, len(path)))]
 
 

@@ -180,8 +180,8 @@ def decoded(data: bytes, name: str) -> tuple[bytes, str]:
     return mark, text
 
 
-def failure(name: str, text: str, place: int, what: str) -> TemplateError:
+def failure(name: str, text: str, position: int, what: str) -> TemplateError:
     """Return an error with the line and the column of a place."""
-    line = text.count("\n", 0, place) + 1
-    column = place - (text.rfind("\n", 0, place) + 1) + 1
+    line = text.count("\n", 0, position) + 1
+    column = position - (text.rfind("\n", 0, position) + 1) + 1
     return TemplateError(f"{name}:{line}:{column}: {one_line(what)}")

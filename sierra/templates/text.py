@@ -134,7 +134,7 @@ class TextDocument:
         return self._filled(self._values)
 
     def per_run(self, changes: Sequence[Change]) -> Callable[[Mapping[str, Value]], bytes]:
-        places = [(change, self._place(change)) for change in changes]
+        places = [(change, self._placeholder(change)) for change in changes]
         for change, _ in places:
             names(change.value if isinstance(change, Set) else "")
         given = self._values.keys() | {name for _, name in places}
@@ -146,7 +146,7 @@ class TextDocument:
     def changed(self, changes: Sequence[Change], filled: Callable[[str], str]) -> TextDocument:
         values = dict(self._values)
         for change in changes:
-            name = self._place(change)
+            name = self._placeholder(change)
             try:
                 text = filled(change.value if isinstance(change, Set) else "")
             except ConfigError as error:
@@ -154,7 +154,7 @@ class TextDocument:
             values[name] = values[name] if name in values and same(values[name], text) else text
         return TextDocument(self.text, self._template, values)
 
-    def _place(self, change: Change) -> str:
+    def _placeholder(self, change: Change) -> str:
         """Return the placeholder that a change sets. Raises TemplateError."""
         text = self.text
         where = f"{_who(change)}{one_line(change.path)} in {text.name}"

@@ -121,23 +121,23 @@ class _Scanner:
             offset = self._fill(end)
         return root
 
-    def _header(self, root: Node, place: int) -> tuple[Node, int]:
+    def _header(self, root: Node, position: int) -> tuple[Node, int]:
         """Return the table of a header, and the end of the header."""
-        is_item = self._text.startswith("[[", place)
-        keys, end = self._keys(self._blank(place + 1 + is_item))
+        is_item = self._text.startswith("[[", position)
+        keys, end = self._keys(self._blank(position + 1 + is_item))
         if not is_item:
             return self._table(root, keys), end + 1
         *above, (key, span) = keys
         tables = self._child(self._table(root, above), key, span, Kind.LIST)
-        tables.children.append(Node(Kind.MAPPING, place, end + 2, style="table"))
+        tables.children.append(Node(Kind.MAPPING, position, end + 2, style="table"))
         return tables.children[-1], end + 2
 
-    def _pair(self, table: Node, place: int) -> tuple[Node, int]:
+    def _pair(self, table: Node, position: int) -> tuple[Node, int]:
         """Return the node of a key with its value, in its table, and its end."""
-        keys, end = self._keys(place)
+        keys, end = self._keys(position)
         *above, (key, span) = keys
         node = self._value(self._blank(end + 1))
-        node.key, node.keys, node.entries = key, [span], [(place, node.end)]
+        node.key, node.keys, node.entries = key, [span], [(position, node.end)]
         parent = self._table(table, above)
         parent.children.append(node)
         self._known[parent, key] = node
@@ -183,47 +183,47 @@ class _Scanner:
         word = _WORD.match(self._text, offset)
         return Node(Kind.FIXED, offset, word.end() if word else offset)
 
-    def _array(self, place: int) -> Node:
-        node = Node(Kind.LIST, place, place, style="brackets")
-        place = self._fill(place + 1)
-        while self._text[place] != "]":
-            child = self._value(place)
+    def _array(self, position: int) -> Node:
+        node = Node(Kind.LIST, position, position, style="brackets")
+        position = self._fill(position + 1)
+        while self._text[position] != "]":
+            child = self._value(position)
             child.entries = [(child.start, child.end)]
             node.children.append(child)
-            place = self._comma(child.end)
-        node.end = place + 1
+            position = self._comma(child.end)
+        node.end = position + 1
         return node
 
-    def _inline(self, place: int) -> Node:
-        node = Node(Kind.MAPPING, place, place, style="brackets")
-        place = self._fill(place + 1)
-        while self._text[place] != "}":
-            _, end = self._pair(node, place)
-            place = self._comma(end)
-        node.end = place + 1
+    def _inline(self, position: int) -> Node:
+        node = Node(Kind.MAPPING, position, position, style="brackets")
+        position = self._fill(position + 1)
+        while self._text[position] != "}":
+            _, end = self._pair(node, position)
+            position = self._comma(end)
+        node.end = position + 1
         return node
 
-    def _comma(self, place: int) -> int:
-        place = self._fill(place)
-        return self._fill(place + 1) if self._text[place] == "," else place
+    def _comma(self, position: int) -> int:
+        position = self._fill(position)
+        return self._fill(position + 1) if self._text[position] == "," else position
 
-    def _quoted(self, place: int) -> tuple[str, int]:
+    def _quoted(self, position: int) -> tuple[str, int]:
         """Return the quotes and the end of a text."""
         for style, pattern in _TEXTS:
-            if self._text.startswith(style, place) and (match := pattern.match(self._text, place)):
+            if self._text.startswith(style, position) and (match := pattern.match(self._text, position)):
                 return style, match.end()
-        return "", place
+        return "", position
 
-    def _fill(self, place: int) -> int:
-        match = _FILLER.match(self._text, place)
-        return match.end() if match else place
+    def _fill(self, position: int) -> int:
+        match = _FILLER.match(self._text, position)
+        return match.end() if match else position
 
-    def _blank(self, place: int) -> int:
-        match = _BLANK.match(self._text, place)
-        return match.end() if match else place
+    def _blank(self, position: int) -> int:
+        match = _BLANK.match(self._text, position)
+        return match.end() if match else position
 
-    def _line_end(self, place: int) -> int:
-        end = self._text.find("\n", place)
+    def _line_end(self, position: int) -> int:
+        end = self._text.find("\n", position)
         return len(self._text) if end < 0 else end + 1
 
 
@@ -264,8 +264,8 @@ def _assign_value(node: Node, data: object, text: str, name: str) -> None:
 
 def _invalid(name: str, text: str, error: ValueError) -> TemplateError:
     said = str(error)
-    place = _PLACE.search(said)
-    line, column = (int(place[1]), int(place[2])) if place and place[1] else (text.count("\n") + 1, 1)
+    position = _PLACE.search(said)
+    line, column = (int(position[1]), int(position[2])) if position and position[1] else (text.count("\n") + 1, 1)
     return TemplateError(f"{name}:{line}:{column}: not TOML: {_PLACE.sub('', said)}")
 
 

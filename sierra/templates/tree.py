@@ -129,10 +129,10 @@ class TreeDocument:
                 text = _filled(change, lambda text: fill(text, values))
                 for node in nodes:
                     current[node] = self._edit(change, node, current[node], text)
-            made = [pieces[0]]
+            rendered = [pieces[0]]
             for node, piece in zip(gaps, pieces[1:], strict=True):
-                made += (current[node].token.encode(), piece)
-            return b"".join(made)
+                rendered += (current[node].token.encode(), piece)
+            return b"".join(rendered)
 
         return render
 
@@ -365,7 +365,7 @@ def piece(json: str, filled: Callable[[str], str]) -> Node:
 
 def _common(text: str, longer: str) -> int:
     """Return the number of characters with which both texts begin."""
-    return next((place for place, (a, b) in enumerate(zip(text, longer, strict=False)) if a != b), len(text))
+    return next((position for position, (a, b) in enumerate(zip(text, longer, strict=False)) if a != b), len(text))
 
 
 def _texts(node: Node) -> Iterator[str]:

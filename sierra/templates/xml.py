@@ -141,10 +141,10 @@ class XmlDocument:
                 with self._told(change):
                     text = scan.view.legal(filled(change.value), change)
                     for slot in scan.view.slots(change, scan.raw):
-                        was = {place: edits.get(place) or scan.original(place) for place in slot.places}
-                        for place, edit in _written(scan, slot, was, text):
-                            edits[place] = edit
-                            shown.show(place, edit.value or "")
+                        was = {location: edits.get(location) or scan.original(location) for location in slot.places}
+                        for location, edit in _written(scan, slot, was, text):
+                            edits[location] = edit
+                            shown.show(location, edit.value or "")
         return XmlDocument(scan, edits)
 
     def _restructured(self, changes: Sequence[Change], filled: Callable[[str], str]) -> XmlDocument:
@@ -174,9 +174,9 @@ class XmlDocument:
                     text = scan.view.legal(_unfilled(change.value), change)
                     slots = scan.view.slots(change, scan.raw)
                     wanted.append((change, slots))
-                    for place, part in chain.from_iterable(slot.parts(text) for slot in slots):
-                        begin.setdefault(place, self._edits.get(place) or scan.original(place))
-                        shown.show(place, part)  # so that later paths find what it adds
+                    for location, part in chain.from_iterable(slot.parts(text) for slot in slots):
+                        begin.setdefault(location, self._edits.get(location) or scan.original(location))
+                        shown.show(location, part)  # so that later paths find what it adds
         every = {**self._edits, **begin}
         gaps, pieces = self._split(every, begin)
         places_changed, source = frozenset(every), scan.source
@@ -195,7 +195,7 @@ class XmlDocument:
             else:
                 rendered = source.mark + source.encoded(_joined(pieces, tokens, ""))
             after = {**self._edits, **current}
-            scan.verify(rendered, places_changed, ((place, edit.value or "") for place, edit in after.items()))
+            scan.verify(rendered, places_changed, ((location, edit.value or "") for location, edit in after.items()))
             return rendered
 
         return render
@@ -204,11 +204,11 @@ class XmlDocument:
         """Return the gaps in the order of the document, and the text around them with all other edits made."""
         text, order = self._scan.source.text, list[Place]()
         pieces, piece, done = list[str](), list[str](), 0
-        for place, edit in sorted(edits.items(), key=lambda item: (item[1].spot.start, item[1].spot.end)):
+        for location, edit in sorted(edits.items(), key=lambda item: (item[1].spot.start, item[1].spot.end)):
             piece.append(text[done : edit.spot.start])
             done = edit.spot.end
-            if place in gaps:
-                order.append(place)
+            if location in gaps:
+                order.append(location)
                 pieces.append("".join(piece))
                 piece = []
             else:
@@ -244,12 +244,12 @@ class _Made:
 
 def _written(scan: Scan, slot: Slot, edits: Edits, text: str) -> Iterator[tuple[Place, Edit]]:
     """Yield the places where a new value changes edits; none if the value before spells the same number."""
-    values = [edits[place].value for place in slot.places]
+    values = [edits[location].value for location in slot.places]
     if slot.keeps(values, text):
         return
-    for place, part in slot.parts(text):
-        if edits[place].value != part:
-            yield place, scan.written(edits[place].spot, part, section=place in slot.sections)
+    for location, part in slot.parts(text):
+        if edits[location].value != part:
+            yield location, scan.written(edits[location].spot, part, section=location in slot.sections)
 
 
 def _joined(pieces: Sequence[AnyStr], tokens: Sequence[AnyStr], nothing: AnyStr) -> AnyStr:

@@ -38,8 +38,8 @@ class XmlCopy:
         self._declares = False
         """True if a change has added or removed declarations of namespaces, whose prefixes are known when they are written."""
         copies = dict(zip(scan.nodes, self._nodes, strict=True)) if edits else {}
-        for place, edit in edits.items():
-            copied = Place(copies[place.element], place.kind, place.name)
+        for location, edit in edits.items():
+            copied = Place(copies[location.element], location.kind, location.name)
             if edit.token.startswith(_SECTION):
                 self._put(copied, edit.value or "", edit.token)
             else:
@@ -79,37 +79,37 @@ class XmlCopy:
         if not isinstance(change, Set) or change.attribute:
             self._declares = declarations(view.root) != view.namespaces
 
-    def _raw_in_file(self, place: Place) -> str:
+    def _raw_in_file(self, location: Place) -> str:
         """Return a text as it is written in the file."""
-        self._check_read([place.element])
-        return self._scan.raw(Place(self._originals[place.element], place.kind))
+        self._check_read([location.element])
+        return self._scan.raw(Place(self._originals[location.element], location.kind))
 
     def _check_read(self, elements: Iterable[Element]) -> None:
         if any(element not in self._originals for element in elements):
             raise Unspliced
 
-    def _write(self, place: Place, text: str) -> None:
-        self._touched.add(place.element)
-        place.write(text)
-        self._raws[place] = self._scan.token(text, '"' if place.kind == "attribute" else "")
+    def _write(self, location: Place, text: str) -> None:
+        self._touched.add(location.element)
+        location.write(text)
+        self._raws[location] = self._scan.token(text, '"' if location.kind == "attribute" else "")
 
-    def _put(self, place: Place, text: str, raw: str) -> None:
+    def _put(self, location: Place, text: str, raw: str) -> None:
         """Write a text that is known as it is written."""
-        self._write(place, text)
-        self._raws[place] = raw
+        self._write(location, text)
+        self._raws[location] = raw
 
     def _set(self, change: Set, filled: Callable[[str], str]) -> None:
         text = self.view.legal(filled(change.value), change)
         slots = self.view.slots(change, self._raw_in_file)
         self._check_read(slot.places[0].element for slot in slots)
         for slot in slots:
-            if slot.keeps([place.read() for place in slot.places], text):
+            if slot.keeps([location.read() for location in slot.places], text):
                 continue
-            for place, part in slot.parts(text):
-                if place.read() != part and place in slot.sections:
-                    self._put(place, part, self._scan.section(part))
-                elif place.read() != part:
-                    self._write(place, part)
+            for location, part in slot.parts(text):
+                if location.read() != part and location in slot.sections:
+                    self._put(location, part, self._scan.section(part))
+                elif location.read() != part:
+                    self._write(location, part)
 
     # Changes of the structure
 
@@ -308,13 +308,13 @@ class XmlCopy:
             more[found] = prefixes[found] = uri
         return found
 
-    def _raw(self, place: Place) -> str:
+    def _raw(self, location: Place) -> str:
         """Return a text as it is written."""
-        raw = self._raws.get(place)
-        original = self._originals.get(place.element)
+        raw = self._raws.get(location)
+        original = self._originals.get(location.element)
         if raw is not None or original is None:
             return raw or ""
-        return self._scan.raw(Place(original, place.kind))
+        return self._scan.raw(Place(original, location.kind))
 
     def _new(self, element: Element, outer: Prefixes) -> str:
         """Return an added element, without declarations of namespaces that its place has."""

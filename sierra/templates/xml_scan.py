@@ -24,7 +24,7 @@ _PLAIN = regex(r"[A-Za-z0-9_.,;:/+ -]*")
 
 @dataclass(frozen=True, slots=True)
 class Spot:
-    """Where a value is written: the text that it replaces, and what is written around it."""
+    """The span of text that a value replaces, and the texts that are written around the value."""
 
     start: int
     end: int
@@ -55,13 +55,13 @@ class Shown:
     def __init__(self) -> None:
         self._before: dict[Place, str | None] = {}
 
-    def show(self, place: Place, value: str) -> None:
-        self._before.setdefault(place, place.exact())
-        place.write(value)
+    def show(self, location: Place, value: str) -> None:
+        self._before.setdefault(location, location.exact())
+        location.write(value)
 
     def restore(self) -> None:
-        for place, value in self._before.items():
-            place.write(value)
+        for location, value in self._before.items():
+            location.write(value)
 
 
 class Scan:
@@ -95,8 +95,8 @@ class Scan:
         """Let the view have other values for a while."""
         shown = Shown()
         try:
-            for place, edit in edits.items():
-                shown.show(place, edit.value or "")
+            for location, edit in edits.items():
+                shown.show(location, edit.value or "")
             yield shown
         finally:
             shown.restore()
@@ -112,23 +112,23 @@ class Scan:
         name = self.source.name
         shown = Shown()
         try:
-            for place, value in values:
-                shown.show(place, value)
+            for location, value in values:
+                shown.show(location, value)
             if differ(self.view.root, parse(rendered, name).getroot()):
                 raise TemplateError(f"{name}: cannot be changed: a new value would be read as another one")
         finally:
             shown.restore()
         self._verified.add(places)
 
-    def original(self, place: Place) -> Edit:
+    def original(self, location: Place) -> Edit:
         """Return what the text has in a place, which the view shows now. Raises Unspliced."""
-        spot = self._spots.get(place) or self._spots.setdefault(place, self._spot(place))
-        return Edit(spot, self.source.text[spot.start : spot.end], place.read())
+        spot = self._spots.get(location) or self._spots.setdefault(location, self._spot(location))
+        return Edit(spot, self.source.text[spot.start : spot.end], location.read())
 
-    def raw(self, place: Place) -> str:
+    def raw(self, location: Place) -> str:
         """Return a text as it is written in the file, whatever the view shows now."""
-        mark = self.marks[place.element]
-        span = (mark.inner, mark.text_end) if place.kind == "text" else (mark.end, mark.tail_end)
+        mark = self.marks[location.element]
+        span = (mark.inner, mark.text_end) if location.kind == "text" else (mark.end, mark.tail_end)
         return self.source.text[span[0] : span[1]]
 
     def written(self, spot: Spot, value: str, *, section: bool = False) -> Edit:
@@ -173,28 +173,28 @@ class Scan:
             last = attribute.end
         return last + 1
 
-    def _spot(self, place: Place) -> Spot:
-        mark, text = self.marks[place.element], self.source.text
-        match place.kind:
+    def _spot(self, location: Place) -> Spot:
+        mark, text = self.marks[location.element], self.source.text
+        match location.kind:
             case "tail":
                 return Spot(mark.end, mark.tail_end)
             case "text" if mark.empty:
-                return Spot(self.last(place.element), mark.end, ">", f"</{name_in(text, mark.start)}>")
+                return Spot(self.last(location.element), mark.end, ">", f"</{name_in(text, mark.start)}>")
             case "text":
                 return Spot(mark.inner, mark.text_end)
-        for name, attribute in self.attributes(place.element):
-            if name == place.name:
+        for name, attribute in self.attributes(location.element):
+            if name == location.name:
                 return Spot(attribute.begin, attribute.end, quote=text[attribute.end])
-        name = self.qualified(place)
-        last = self.last(place.element)
+        name = self.qualified(location)
+        last = self.last(location.element)
         return Spot(last, last, f' {name}="', '"', '"')
 
-    def qualified(self, place: Place) -> str:
+    def qualified(self, location: Place) -> str:
         """Return the name of a new attribute as it is written. Raises Unspliced if its namespace has no prefix there."""
-        name = etree.QName(place.name)
+        name = etree.QName(location.name)
         if not name.namespace:
             return str(name.localname)
-        prefix = prefix_of(name.namespace, {**place.element.nsmap, "xml": XML})
+        prefix = prefix_of(name.namespace, {**location.element.nsmap, "xml": XML})
         if prefix is None:
             raise Unspliced
         return f"{prefix}:{name.localname}"

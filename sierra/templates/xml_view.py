@@ -140,8 +140,8 @@ class Slot:
 
     def parts(self, value: str) -> Iterator[tuple[Place, str]]:
         """Yield what each place holds when a value is set."""
-        for index, place in enumerate(self.places):
-            yield place, value if index == self.main else ""
+        for index, location in enumerate(self.places):
+            yield location, value if index == self.main else ""
 
 
 def place_of(node: Node) -> Place | None:
@@ -166,12 +166,12 @@ def place_of(node: Node) -> Place | None:
 _BETWEEN = (etree.Comment, etree.ProcessingInstruction)
 
 
-def texts_from(place: Place) -> Iterator[Place]:
+def texts_from(location: Place) -> Iterator[Place]:
     """Yield a place and the places of the texts that only comments and processing instructions separate from it."""
-    yield place
-    if place.kind == "attribute":
+    yield location
+    if location.kind == "attribute":
         return
-    node = next(iter(place.element), None) if place.kind == "text" else place.element.getnext()
+    node = next(iter(location.element), None) if location.kind == "text" else location.element.getnext()
     while node is not None and node.tag in _BETWEEN:
         yield Place(node, "tail")
         node = node.getnext()
@@ -180,7 +180,7 @@ def texts_from(place: Place) -> Iterator[Place]:
 def _slot(places: tuple[Place, ...], written: Sequence[str]) -> Slot:
     """Return the texts of one value, as they are written in the file; the main one is the first that is not blank."""
     main = next((index for index, text in enumerate(written) if not _is_blank(text)), 0)
-    sections = (place for place, text in zip(places, written, strict=True) if _SECTION.fullmatch(text))
+    sections = (location for location, text in zip(places, written, strict=True) if _SECTION.fullmatch(text))
     return Slot(places, main, frozenset(sections))
 
 
@@ -194,7 +194,7 @@ def value_of(node: Node) -> str:
         return str(node)
     if not isinstance(node.tag, str):
         return str(node.text or "")
-    return "".join(place.read() or "" for place in texts_from(Place(node, "text")))
+    return "".join(location.read() or "" for location in texts_from(Place(node, "text")))
 
 
 def is_text(node: Node) -> TypeGuard[Text]:
@@ -255,7 +255,7 @@ class View:
         if isinstance(change, Set) and not change.attribute:  # an element and its text are one place
             found = list({place_of(node) or node: node for node in found}.values())
         if not found:
-            raise self.error(change, "matches nothing", one_line(nearest(change.path, self._found, self._names)))
+            raise self.error(change, "matches nothing", one_line(nearest(change.path, self._selected, self._names)))
         if change.expect is not None and len(found) != change.expect:
             raise self.error(change, f"matches {len(found)}", f", not {change.expect} as expected")
         return found
@@ -282,11 +282,11 @@ class View:
             return [Slot((Place(e, "attribute", self.clark(attribute, e, change)),)) for e in self.elements(change)]
         slots = []
         for node in self.matches(change):
-            place = place_of(node)
-            if place is None:
+            location = place_of(node)
+            if location is None:
                 raise self.unfit(change, node, "elements, attributes and texts")
-            places = tuple(texts_from(place))
-            if place.kind != "attribute":
+            places = tuple(texts_from(location))
+            if location.kind != "attribute":
                 self._check_alone(change, node, places, raw)
             slots.append(_slot(places, [raw(selected) for selected in places]) if len(places) > 1 else Slot(places))
         return slots
@@ -301,7 +301,7 @@ class View:
             )
         if not is_text(node) and any(isinstance(child.tag, str) for child in node):
             texts = (Place(node, "text"), *(Place(child, "tail") for child in node))
-            if not all(_is_blank(raw(place)) for place in texts):
+            if not all(_is_blank(raw(location)) for location in texts):
                 more = "; set an element without child elements, or select one of its texts, as in text()[1]"
                 raise self.error(change, "has text beside child elements", more)
 
@@ -354,9 +354,9 @@ class View:
 
     def _alone(self, call: str) -> bool:
         """Return True if a name that occurs once selects one element; `local-name()` may match other namespaces too."""
-        return "local-name()" not in call or len(self._found(call)) == 1
+        return "local-name()" not in call or len(self._selected(call)) == 1
 
-    def _found(self, path: str) -> list[Node]:
+    def _selected(self, path: str) -> list[Node]:
         try:
             return self.select(path)
         except TemplateError:
@@ -364,7 +364,7 @@ class View:
 
     def _names(self, good: str, way: str, at: str) -> list[str]:
         """Return the different names that are one step away from a path, in document order."""
-        nodes = self._found(f"{good}{way}{at}*")
+        nodes = self._selected(f"{good}{way}{at}*")
         return list(dict.fromkeys(self._qualified(node.attrname if at else node.tag) for node in nodes))
 
     def _qualified(self, clark: str) -> str:

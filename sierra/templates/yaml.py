@@ -224,9 +224,9 @@ class _Reader:
 
     def _invalid(self, error: yaml.YAMLError) -> Exception:
         mark = getattr(error, "problem_mark", None)
-        place = mark.index if mark is not None else getattr(error, "position", 0)
+        position = mark.index if mark is not None else getattr(error, "position", 0)
         problem = getattr(error, "problem", None) or getattr(error, "reason", None) or error
-        return failure(self._name, self._text, place, f"not YAML: {problem}")
+        return failure(self._name, self._text, position, f"not YAML: {problem}")
 
 
 def _read_as(plain: str) -> object:
@@ -282,16 +282,16 @@ def _begin(text: str, node: Node) -> int:
     return node.keys[0][0] if node.keys else text.rfind("-", 0, node.start)
 
 
-def _line(text: str, place: int) -> int:
-    return text.rfind("\n", 0, place) + 1
+def _line(text: str, position: int) -> int:
+    return text.rfind("\n", 0, position) + 1
 
 
-def _column(text: str, place: int) -> int:
-    return place - _line(text, place)
+def _column(text: str, position: int) -> int:
+    return position - _line(text, position)
 
 
-def _line_end(text: str, place: int) -> int:
+def _line_end(text: str, position: int) -> int:
     """Return the place of the line break after a place."""
-    end = text.find("\n", place)
+    end = text.find("\n", position)
     end = len(text) if end < 0 else end
     return end - 1 if text[end - 1 : end] == "\r" else end

@@ -36,7 +36,7 @@ class Need(TypedDict):
     """The PATH on which runs find the program `name`; empty: they use `path`."""
     link: NotRequired[bool]
     holds: NotRequired[list[str] | None]
-    """If given, the folders in `path` (as in a PATH) must have exactly these distributions: see `installed`."""
+    """The distributions that the folders in `path` (as in a PATH) must have, no others: see `installed`."""
 
 
 class Needs:

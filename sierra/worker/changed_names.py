@@ -99,8 +99,8 @@ class ChangedNames:
             for name in self._links.intersection(with_folders(path)):
                 self.use(name)
 
-    def write(self, real: bytes, *, made: bool = True, new: bool = False, content: bool = True) -> None:
-        """A file is opened for writing: to change its content, made or emptied (`made`), or as a `new` one."""
+    def write(self, real: bytes, *, created: bool = True, new: bool = False, content: bool = True) -> None:
+        """Record that a file is opened to change its content, is created or emptied (`created`), or is `new`."""
         self.written.add(real)
         if content:
             self._content.add(real)
@@ -108,7 +108,7 @@ class ChangedNames:
         new = new and real not in self.removed  # another run may make room for itself in the same way
         self.removed.discard(real)
         self._absent.discard(real)
-        if made:
+        if created:
             self._set_origin(real, MADE)
         if new:
             self._new.add(real)

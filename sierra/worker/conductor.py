@@ -68,7 +68,7 @@ if TYPE_CHECKING:
         timeout: float
 
     class Shared(TypedDict):
-        """What a conductor knows of services that several runs share."""
+        """The state of services that several runs share, as a conductor knows it."""
 
         ports: Mapping[str, int]
         pids: Mapping[str, int]
@@ -83,7 +83,7 @@ if TYPE_CHECKING:
         shared: Sequence[Service]
         """Services that the worker starts once for all runs."""
         observed: bool
-        """Whether the worker is to observe them."""
+        """True if the worker is to observe them."""
         services: Sequence[Service]
         before: Sequence[Sequence[str]]
         argv: Sequence[str]
@@ -91,7 +91,7 @@ if TYPE_CHECKING:
         success: Sequence[int]
         """The exit statuses of the command that mean success."""
         accept: NotRequired[Sequence[int]]
-        """Those that are no success, but a result; the commands in `after` are not executed then."""
+        """The exit statuses that mean a result without success; the commands in `after` are not executed then."""
         grace: float
         """The seconds between SIGTERM and SIGKILL."""
         marker: NotRequired[Mapping[str, object]]

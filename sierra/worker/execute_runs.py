@@ -60,15 +60,15 @@ class Outcome(NamedTuple):
     reason: str
 
 
-def judged(place: Place, run: Run, end: Mapping[str, Any], folder: Path) -> Outcome:
+def judged(executor: Place, run: Run, end: Mapping[str, Any], folder: Path) -> Outcome:
     """Compare the outputs of a run that has ended with the recorded ones. Raises Stop if it could not be executed."""
-    batch = place.batch
+    batch = executor.batch
     if end.get("error") and run.ended is None:
         raise missing(f"{run.called()}: {end['error']}")
     trouble, last = trouble_of(batch, run, end), clean(last_line_of(str(folder / "stderr")))
-    refused = place.error.match(f"{end.get('exit_code')} {last}")
+    refused = executor.error.match(f"{end.get('exit_code')} {last}")
     if refused:
-        raise missing(f"{place.name} cannot start containers here: {refused.group(1)}")
+        raise missing(f"{executor.name} cannot start containers here: {refused.group(1)}")
     if trouble:
         return Outcome(run, FAILED, f"{trouble}: {last}")
     outputs = renamed(digests_of(batch, end, folder), run.outputs, batch)
@@ -92,19 +92,19 @@ def digests_of(batch: Batch, end: Mapping[str, Any], folder: Path) -> dict[str, 
     return digests
 
 
-def renamed(found: Mapping[str, str], recorded: Mapping[str, str], batch: Batch) -> dict[str, str]:
-    """Return the outputs that were found by the names of the recorded ones that they are compared with.
+def renamed(digests: Mapping[str, str], recorded: Mapping[str, str], batch: Batch) -> dict[str, str]:
+    """Return the digests of outputs by the names of the recorded outputs that they are compared with.
 
     Names that match a pattern may have the time of the run in them: such files are compared by the order of their names. If
     their number has changed, those with the same name are compared first.
     """
     names: dict[str, str] = {}
     for pattern in range(len(batch.patterns)):
-        old, new = ([path for path in paths if batch.pattern_of(path) == pattern] for paths in (recorded, found))
+        old, new = ([path for path in paths if batch.pattern_of(path) == pattern] for paths in (recorded, digests))
         same = set(old) & set(new) if len(old) != len(new) else set()
         rest = (sorted((path for path in paths if path not in same), key=natural) for paths in (old, new))
         names.update({theirs: ours for ours, theirs in zip(*rest)})
-    return {names.get(path, path): digest for path, digest in found.items()}
+    return {names.get(path, path): digest for path, digest in digests.items()}
 
 
 def natural(path: str) -> tuple[list[Any], str]:
@@ -148,9 +148,9 @@ def ended_with(end: Mapping[str, Any]) -> str:
 class Execution:
     """The execution of a batch in a new folder."""
 
-    def __init__(self, place: Place, folder: Path, slots: int) -> None:
-        self.batch = place.batch
-        self.place = place
+    def __init__(self, executor: Place, folder: Path, slots: int) -> None:
+        self.batch = executor.batch
+        self.executor = executor
         self.folder = folder
         self.slots = slots
         self.pending: dict[str, Run] = {}
@@ -203,7 +203,7 @@ class Execution:
     def job(self, run: Run) -> dict[str, Any]:
         """Return the line of a run for the worker."""
         execution = hashlib.sha256((f"{self.session} {run.run}").encode()).hexdigest()
-        job = self.place.job(run, self.folder / "project")
+        job = self.executor.job(run, self.folder / "project")
         own = {"SIERRA_SESSION": self.session, "SIERRA_EXECUTION": execution}
         job["environment"].update(own)
         if "client" in job:
@@ -224,7 +224,7 @@ class Execution:
             for event in events:
                 if event["event"] == "end" and event["run"] in self.pending:
                     folder = runs / Path(event["directory"]).name
-                    outcome = judged(self.place, self.pending.pop(event["run"]), event, folder)
+                    outcome = judged(self.executor, self.pending.pop(event["run"]), event, folder)
                     if outcome.verdict == IDENTICAL:
                         shutil.rmtree(str(folder), ignore_errors=True)
                     yield outcome
@@ -266,18 +266,18 @@ def proposal(places: Sequence[Place], count: int, seconds: float, slots: int) ->
     """Yield the lines that say what would be executed."""
     estimate = max(seconds / slots, max((seconds / count if count else 0), 1))
     yield f"Level 2 executes {count} runs, {slots} at a time: about {duration(estimate)} by their recorded durations."
-    for place in places:
-        yield described(place)
-        yield from (f"  first command: {shown_command(run)}" for run in itertools.islice(place.batch.runs(), 1))
-        yield from (f"  note: {clean(note)}" for note in place.batch.notes)
-    if any(place.name == HOST for place in places):
+    for executor in places:
+        yield described(executor)
+        yield from (f"  first command: {shown_command(run)}" for run in itertools.islice(executor.batch.runs(), 1))
+        yield from (f"  note: {clean(note)}" for note in executor.batch.notes)
+    if any(executor.name == HOST for executor in places):
         yield "These are programs of the package. On this machine they can do everything that you can."
     else:
         yield "The containers isolate the runs. execution/ of the package, whose programs start them, is not isolated."
 
 
-def described(place: Place) -> str:
-    return f"batch {clean(place.batch.id)[:10]}: {place.description()}"
+def described(executor: Place) -> str:
+    return f"batch {clean(executor.batch.id)[:10]}: {executor.description()}"
 
 
 def duration(seconds: float) -> str:
@@ -301,16 +301,16 @@ def execute(
     began = time.time()
     counts = dict.fromkeys((IDENTICAL, DIFFERENT, FAILED, NOT_COMPARABLE), 0)
     faults: list[str] = []
-    for place in places:
-        within = folder / place.batch.id[:12]
+    for executor in places:
+        within = folder / executor.batch.id[:12]
         within.mkdir()
-        for outcome in Execution(place, within, slots).outcomes():
+        for outcome in Execution(executor, within, slots).outcomes():
             counts[outcome.verdict] += 1
             if outcome.verdict != IDENTICAL and len(faults) < REPORTED:
                 faults.append(f"{outcome.verdict}: {outcome.run.called()}: {clean(outcome.reason)}")
                 if len(faults) <= SHOWN:
                     print(faults[-1])
-    verdict = verdict_of(counts, sum(place.batch.of for place in places))
+    verdict = verdict_of(counts, sum(executor.batch.of for executor in places))
     print(verdict)
     try:
         unlike = sum(counts.values()) - counts[IDENTICAL]

@@ -56,7 +56,7 @@ class Observation(Protocol):
     """The observation of one run: see the module's text for the order of calls. Nothing here raises an error of a way's own."""
 
     began: int
-    """When it began, in ns since the epoch, by the clock that files of the log's file system get their times from."""
+    """The time of its begin, in ns since the epoch, by the clock that gives files of the log's file system their times."""
 
     def prefixed(self, argv: Sequence[str], environment: Mapping[str, str], cwd: str, *, conducted: bool = False) -> list[str]:
         """Return the words to start. They are argv itself if the program would not start: the error is then the usual one.

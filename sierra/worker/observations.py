@@ -227,10 +227,10 @@ class Account:
         so many times the mean time of a run; while no run has ended, each slot may observe one.
         """
         with self._lock:
-            one = self._spent / self._observations if self._observations else UNKNOWN_S
+            mean = self._spent / self._observations if self._observations else UNKNOWN_S
             if part is not None:
-                return self._sampled + one <= part * self._ran
-            return times is None or one * self._runs <= times * self._ran
+                return self._sampled + mean <= part * self._ran
+            return times is None or mean * self._runs <= times * self._ran
 
 
 class Hashes:

@@ -197,10 +197,10 @@ def uses_gpu(trace: Trace) -> bool:
 
 def graphics(root: str = "/") -> list[str]:
     """Return the graphics processors, each with its driver, as the kernel describes them below a folder."""
-    found = ["driver " + line for line in lines_of(os.path.join(root, "proc/driver/nvidia/version")) if line]
+    descriptions = ["driver " + line for line in lines_of(os.path.join(root, "proc/driver/nvidia/version")) if line]
     cards = os.path.join(root, "proc/driver/nvidia/gpus")
     for name in sorted(entries_of(cards)):
-        found += [line for line in lines_of(os.path.join(cards, name, "information")) if line.startswith("Model:")]
+        descriptions += [line for line in lines_of(os.path.join(cards, name, "information")) if line.startswith("Model:")]
     devices = os.path.join(root, "sys/class/drm")
     for name in sorted(entries_of(devices)):
         if re.fullmatch(r"card\d+", name):
@@ -208,8 +208,8 @@ def graphics(root: str = "/") -> list[str]:
             ids = [line for key in ("vendor", "device") for line in lines_of(os.path.join(device, key))]
             driver = os.path.basename(os.path.realpath(os.path.join(device, "driver")))
             version = lines_of(os.path.join(device, "driver/module/version"))
-            found.append(" ".join((*ids, driver, *version)))
-    return found
+            descriptions.append(" ".join((*ids, driver, *version)))
+    return descriptions
 
 
 def graphics_sha256(root: str = "/") -> str:
@@ -234,9 +234,9 @@ def as_record(trace: Trace, contents: Contents, names: Names, *, gpu: bool = Fal
         for path in getattr(trace, use):
             file = contents.files.get(path)
             files.append((names.name(path), use, file and file.sha256, file and file.size))
-    found = {*trace.found, *trace.refused}
-    files += [(names.name(path), "found", contents.kinds.get(path), None) for path in found]
-    seen = {*trace.executed, *trace.read, *found, *trace.links}
+    found_paths = {*trace.found, *trace.refused}
+    files += [(names.name(path), "found", contents.kinds.get(path), None) for path in found_paths]
+    seen = {*trace.executed, *trace.read, *found_paths, *trace.links}
     files += [(names.name(path), "missed", None, None) for path in trace.missed if path not in seen]
     files += [(names.name(path), "listed", contents.folders.get(path), None) for path in trace.listed]
     for path, real in trace.links.items():

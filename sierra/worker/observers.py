@@ -113,7 +113,7 @@ class Traced:
         self._said = 0
         """Number of bytes of standard error that were read then."""
         self._latest: Trace | None = None
-        """What was seen until the last look."""
+        """The trace until the last look."""
         self._prefix = (program, *OPTIONS, "-e", "trace=" + ",".join("?" + name.decode() for name in CALLS), "-o", log, "--")
         os.close(os.open(log, os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600))
         self.began = min(time.time_ns(), os.stat(log).st_ctime_ns)

@@ -80,15 +80,15 @@ def state(path: str) -> list[Any]:
 
 def texts(patterns: Sequence[str]) -> list[list[str]]:
     """Return the paths and texts of the files that fit the patterns, in the order of the patterns."""
-    found = []
+    contents = []
     for pattern in patterns:
         for path in sorted(glob.glob(pattern)):
             try:
                 with open(path, encoding="utf-8", errors="surrogateescape") as file:
-                    found.append([path, file.read()])
+                    contents.append([path, file.read()])
             except OSError:
                 continue
-    return found
+    return contents
 
 
 def keep(folder: str, text: str, kind: str) -> str:
@@ -150,9 +150,9 @@ def probe(command: Sequence[str], environment: Mapping[str, str] | None, timeout
     """
     if squashed and shutil.which("mksquashfs") is None:
         return None
-    with tempfile.TemporaryDirectory(prefix="sierra-probe-") as made:
-        os.chmod(made, 0o755)  # noqa: S103 - the user of the container must read it
-        root, file = os.path.join(made, "root"), os.path.join(made, "root.sqfs")
+    with tempfile.TemporaryDirectory(prefix="sierra-probe-") as folder:
+        os.chmod(folder, 0o755)  # noqa: S103 - the user of the container must read it
+        root, file = os.path.join(folder, "root"), os.path.join(folder, "root.sqfs")
         make_root(root)
         if squashed:
             run(("mksquashfs", root, file, "-quiet", "-no-progress", "-processors", "1"), None, timeout)

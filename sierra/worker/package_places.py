@@ -289,10 +289,10 @@ def place_of(batch: Batch, engine: str | None) -> Place:
     kinds: dict[str, Callable[[Batch], Place]] = {HOST: Host, Podman.name: Podman, Apptainer.name: Apptainer}
     names = [engine] if engine else list(ENGINES) if batch.image else [HOST]
     reasons: list[str] = []
-    for place in (kinds[name](batch) for name in names):
-        lacks = list(place.lacks())
+    for executor in (kinds[name](batch) for name in names):
+        lacks = list(executor.lacks())
         if not lacks:
-            return place
+            return executor
         reasons += lacks
     hint = "; without a container: --engine host" if batch.image and not engine else ""
     raise missing(f"batch {clean(batch.id)[:10]} cannot be executed here: {'; '.join(reasons)}{hint}")

@@ -34,9 +34,9 @@ def with_ports(job: Job, ports: Mapping[str, int]) -> Job:
     def filled(text: str) -> str:
         return PORT_MARKS.sub(lambda mark: str(ports[mark.group()]), text) if PORT_MARK in text else text
 
-    def program(one: Program) -> Mapping[str, object]:
-        environment = {name: filled(value) for name, value in one["environment"].items()}
-        return {**one, "argv": [filled(word) for word in one["argv"]], "environment": environment}
+    def program(definition: Program) -> Mapping[str, object]:
+        environment = {name: filled(value) for name, value in definition["environment"].items()}
+        return {**definition, "argv": [filled(word) for word in definition["argv"]], "environment": environment}
 
     done = cast("Job", {**program(job), "own_ports": list(ports.values())})
     if "client" in job:

@@ -153,7 +153,9 @@ class Distributions:
             self._folders[folder] = owners(folder)
         top = name.partition("/")[0]
         candidates = self._folders[folder].get(top, [])
-        several = (one for one in candidates if len(candidates) == 1 or name in recorded(folder, one))
+        several = (
+            distribution for distribution in candidates if len(candidates) == 1 or name in recorded(folder, distribution)
+        )
         unrecorded = self._folders[folder].get("=" + normalized(top.partition(".")[0]), [])[:1]
         return next(iter((*several, *unrecorded)), None)
 
@@ -181,7 +183,7 @@ def owners(folder: str) -> dict[str, list[str]]:
 
     Modules of a distribution without a RECORD are there by their names, after `=`.
     """
-    found: dict[str, list[str]] = {}
+    by_top: dict[str, list[str]] = {}
     for entry in sorted(entries_of(folder)):
         name, _, kind = entry.rpartition(".")
         if kind not in ("dist-info", "egg-info"):
@@ -191,8 +193,8 @@ def owners(folder: str) -> dict[str, list[str]]:
             modules = os.fsdecode(content_of(os.path.join(folder, entry, "top_level.txt"))).split()
             tops = {"=" + normalized(module) for module in modules or [name.partition("-")[0]]}
         for top in tops:
-            found.setdefault(top, []).append(re.sub(r"-py\d.*", "", name))
-    return found
+            by_top.setdefault(top, []).append(re.sub(r"-py\d.*", "", name))
+    return by_top
 
 
 def recorded(folder: str, distribution: str) -> Iterator[str]:

@@ -60,25 +60,25 @@ def entries(root: bytes, alive: Callable[[], None] = lambda: None, hashed: bool 
 
     Unless they are `hashed`, files have None in the place of their hash.
     """
-    found: list[list[Any]] = []
+    listed: list[list[Any]] = []
     left_out: list[str] = []
 
     def visit(folder: bytes, prefix: str) -> None:
-        for one in sorted(os.scandir(folder), key=lambda entry: entry.name):
-            path = prefix + text(one.name)
-            status = one.stat(follow_symlinks=False)
+        for entry in sorted(os.scandir(folder), key=lambda entry: entry.name):
+            path = prefix + text(entry.name)
+            status = entry.stat(follow_symlinks=False)
             if stat.S_ISDIR(status.st_mode):
-                found.append(["folder", path])
-                visit(one.path, path + "/")
+                listed.append(["folder", path])
+                visit(entry.path, path + "/")
             elif stat.S_ISREG(status.st_mode):
-                found.append(file_entry(one.path, path, alive) if hashed else unread(status, path))
-            elif stat.S_ISLNK(status.st_mode) and stays_within(path, text(os.readlink(one.path))):
-                found.append(["link", path, text(os.readlink(one.path))])
+                listed.append(file_entry(entry.path, path, alive) if hashed else unread(status, path))
+            elif stat.S_ISLNK(status.st_mode) and stays_within(path, text(os.readlink(entry.path))):
+                listed.append(["link", path, text(os.readlink(entry.path))])
             else:
                 left_out.append(path)
 
     visit(root, "")
-    return found, left_out
+    return listed, left_out
 
 
 def file_entry(file: bytes, path: str, alive: Callable[[], None] = lambda: None) -> list[Any]:
@@ -120,16 +120,16 @@ def unfinished(target: bytes) -> Iterator[bytes]:
     beside, name = os.path.split(target)
     os.makedirs(beside, exist_ok=True)
     prefix = UNFINISHED + b"-" + hashlib.sha256(name).hexdigest()[:16].encode() + b"-"
-    for one in os.listdir(beside):
-        if one.startswith(prefix):
-            remove_left(os.path.join(beside, one))
-    made = os.path.join(beside, prefix + os.urandom(8).hex().encode())
-    os.mkdir(made, 0o700)
-    held = lock(made)
+    for leftover in os.listdir(beside):
+        if leftover.startswith(prefix):
+            remove_left(os.path.join(beside, leftover))
+    folder = os.path.join(beside, prefix + os.urandom(8).hex().encode())
+    os.mkdir(folder, 0o700)
+    held = lock(folder)
     try:
-        yield made
+        yield folder
     finally:
-        shutil.rmtree(made, ignore_errors=True)
+        shutil.rmtree(folder, ignore_errors=True)
         os.close(held)
 
 
@@ -230,10 +230,10 @@ def push(read: Callable[[int], bytes], line: bytes, answer: Callable[..., None],
         if os.path.isdir(target) and entries(target, alive) == (listed, []):
             return answer(state="there")
         raise Problem("it is there already, with other contents; remove it or choose another name")
-    with unfinished(target) as made:
+    with unfinished(target) as folder:
         answer(state="send")
-        verify(listed, write(made, listed, read), [entry[2] for entry in listed if entry[0] == "file"])
-        finish(made, target)
+        verify(listed, write(folder, listed, read), [entry[2] for entry in listed if entry[0] == "file"])
+        finish(folder, target)
     return answer(state="done")
 
 

@@ -75,12 +75,12 @@ class Attempt(NamedTuple):
     facts: dict[str, Fact]
     """See `machine.facts`."""
     variables: dict[str, str]
-    """Those that `record` names."""
+    """The environment variables that `record` names."""
     python: str
     clock: float
     """Seconds that the node's clock is ahead of the shared file system's."""
     end: float | None = None
-    """When the scheduler will end the task; None if it did not say so."""
+    """The time at which the scheduler will end the task; None if it is unknown."""
 
 
 class Started(NamedTuple):

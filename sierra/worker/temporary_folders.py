@@ -46,15 +46,15 @@ class Temporary:
                 self.begin()
             if self.path is None:
                 return None
-            place = os.path.join(self.path, os.path.basename(folder))
+            temporary = os.path.join(self.path, os.path.basename(folder))
         try:
-            os.mkdir(place, 0o700)
-            os.mkdir(os.path.join(place, "tmp"), 0o700)
+            os.mkdir(temporary, 0o700)
+            os.mkdir(os.path.join(temporary, "tmp"), 0o700)
         except OSError:
-            remove(place)
+            remove(temporary)
             return None
-        self.places[folder] = place
-        return os.path.join(place, "tmp")
+        self.places[folder] = temporary
+        return os.path.join(temporary, "tmp")
 
     def remove(self, folder: str) -> None:
         """Remove the temporary files of a run."""

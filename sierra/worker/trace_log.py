@@ -321,7 +321,7 @@ class Log:
         if b"O_WRONLY" not in flags and not empty:
             self._read_file(path, real)
         if flags & WRITING:
-            self._names.write(real, made=empty, new=new, content=bool(flags & CONTENT))
+            self._names.write(real, created=empty, new=new, content=bool(flags & CONTENT))
         if not (new or b"O_WRONLY" in flags):
             self._names.use(real, EMPTIED if b"O_TRUNC" in flags else BOTH if flags & CONTENT else ALONE)
 
@@ -339,7 +339,7 @@ class Log:
             self._links[path] = real
 
     def look(self, process: Process, call: Call, path: bytes) -> None:
-        """The status of a path is requested."""
+        """Record that the status of a path is requested."""
         self._find(path)
 
     def look_at_link(self, process: Process, call: Call, path: bytes) -> None:
@@ -357,7 +357,7 @@ class Log:
 
     def truncate(self, process: Process, call: Call, path: bytes) -> None:
         self._names.use_links(path)
-        self._names.write(os.path.realpath(path), made=False)
+        self._names.write(os.path.realpath(path), created=False)
 
     def make(self, process: Process, call: Call, path: bytes) -> None:
         """A folder or a node is made."""
@@ -462,9 +462,9 @@ class Log:
             self._follow(path, os.path.realpath(path))
         folders = {path for path in self._lists["read"] if os.path.isdir(path)}
         read = self._lists["read"] - folders - programs
-        found = (self._lists["found"] | folders) - read - programs - set(self._links)
+        found_paths = (self._lists["found"] | folders) - read - programs - set(self._links)
         changed = {"written": self._names.written, "removed": self._names.removed}
-        lists: dict[str, Any] = {**self._lists, **changed, "executed": programs, "read": read, "found": found}
+        lists: dict[str, Any] = {**self._lists, **changed, "executed": programs, "read": read, "found": found_paths}
         return Trace(
             way,
             **{name: tuple(sorted(map(os.fsdecode, paths))) for name, paths in lists.items()},

@@ -132,7 +132,7 @@ class Processes:
         self._starting: dict[bytes, Process] = {}
         """The processes that are just starting another one, by their ids."""
         self._adopters: set[bytes] = set()
-        """Those of which the new process appeared before the call that started it returned."""
+        """The starting processes whose new process appeared before the call that started it returned."""
         self.waiting: dict[bytes, list[bytes]] = {}
         """The lines of processes whose parent is not known yet, by their ids."""
 

@@ -125,7 +125,7 @@ class Worker:
         self.numbers = itertools.count(1 + max([int(name) for name in os.listdir(folder) if name.isdigit()], default=0))
         self.lock = threading.Lock()
         self.spare: dict[int, RunFolder] = {}
-        self.shared = {place: entries_of(place) for place in places}
+        self.shared = {path: entries_of(path) for path in places}
         self.temporary = Temporary(os.path.abspath(folder))
         self.observations = Observations(folder, self.temporary, self.check_stop)
         self.services: SharedServices | None = None
@@ -317,7 +317,7 @@ class Worker:
         return {**job, "environment": {**job["environment"], "TMPDIR": short}} if short else job
 
     def execute_prepared(
-        self, job: Job, folder: str, slot: int, place: RunFolder | None, services: SharedServices | None
+        self, job: Job, folder: str, slot: int, run_folder: RunFolder | None, services: SharedServices | None
     ) -> None:
         """Execute a run in its folder, which has been made."""
         observation = self.observations.begin(job, folder)
@@ -379,7 +379,7 @@ class Worker:
             check_room(self.folder)
             check_temporary(running.temporary)
         failure = report.error or trouble_of_services(services)
-        spare = alone and self.adopts and place is not None and place.is_reusable()
+        spare = alone and self.adopts and run_folder is not None and run_folder.is_reusable()
         if running.seal:  # the worker that takes the folder out of the container reads it
             remains = no_outputs(self.clear_shared(folder), running.stopped)
         else:
@@ -388,8 +388,13 @@ class Worker:
             remains["error"] = failure or remains["error"]
         if "beside" in job and (trouble := shared_files(job["beside"]).changed()):
             remains["error"] = remains["error"] or trouble
-        if spare and place is not None and not remains["error"] and sum(file["bytes"] for file in remains["outputs"]) <= CHUNK:
-            self.spare[int(os.path.basename(folder))] = place
+        if (
+            spare
+            and run_folder is not None
+            and not remains["error"]
+            and sum(file["bytes"] for file in remains["outputs"]) <= CHUNK
+        ):
+            self.spare[int(os.path.basename(folder))] = run_folder
             remains["spare"] = True
         if running.observation and (status or not observed or remains["stopped"] or remains["error"]):
             self.observations.request_another(job)
@@ -570,38 +575,38 @@ class Worker:
             if container.kill_at is not None and now >= container.kill_at:
                 container.kill()
             container.expire(now)
-        for one in running:
-            if one.conducted:
-                one.continue_conductor(now)
-            if one.meter:
-                one.meter.read(now)
-                due.append(one.meter.due)
+        for run in running:
+            if run.conducted:
+                run.continue_conductor(now)
+            if run.meter:
+                run.meter.read(now)
+                due.append(run.meter.due)
             if self.stopping:
-                one.stop("interrupted")
+                run.stop("interrupted")
             if self.without_grace:
-                one.skip_grace()
-            deadline = one.deadline()
+                run.skip_grace()
+            deadline = run.deadline()
             if deadline is not None and now >= deadline:
-                one.stop("timeout")
-            if one.marker and one.stopped is None:
-                due.append(one.marker.due(now))
+                run.stop("timeout")
+            if run.marker and run.stopped is None:
+                due.append(run.marker.due(now))
                 if due[-1] <= now:
-                    one.stop(MARKED)
-            if one.stalled(now):
+                    run.stop(MARKED)
+            if run.stalled(now):
                 since = time.time() - STALLED_S
-                self.note(one, {"event": "stalled", "run": one.run, "execution": one.execution, "pid": one.pid, "since": since})
-            if one.observation:
-                one.observation.limit()
-                one.observation.look(pid for pid in one.pids() if pid != one.pid or not one.conducted)
-                due.append(now + max(SAMPLE_S, (now - one.started) / LOOKS))
-            if one.stopped is None and now - one.started > POLL_S / 2:
-                reason = exceeded(one)
+                self.note(run, {"event": "stalled", "run": run.run, "execution": run.execution, "pid": run.pid, "since": since})
+            if run.observation:
+                run.observation.limit()
+                run.observation.look(pid for pid in run.pids() if pid != run.pid or not run.conducted)
+                due.append(now + max(SAMPLE_S, (now - run.started) / LOOKS))
+            if run.stopped is None and now - run.started > POLL_S / 2:
+                reason = exceeded(run)
                 if reason:
-                    one.stop(reason)
-            if one.kill_at is not None and now >= one.kill_at:
-                one.kill()
-            times = [one.kill_at, deadline if one.stopped is None else None]
-            if one.measured:
+                    run.stop(reason)
+            if run.kill_at is not None and now >= run.kill_at:
+                run.kill()
+            times = [run.kill_at, deadline if run.stopped is None else None]
+            if run.measured:
                 times.append(now + POLL_S)
             due += [moment for moment in times if moment is not None]
         if running or self.stopping:

@@ -51,7 +51,7 @@ def predict(
     too much or no table, or does not end in time.
     """
     words = commands.checked(
-        model.command, project.root, origin, KNOWN, contained=False, made=(), declared=Declared(), project=None
+        model.command, project.root, origin, KNOWN, contained=False, produced=(), declared=Declared(), project=None
     )
     named = referenced_files.files(words, project.root, (), project=project.root)
     inputs = frame.first_inputs()

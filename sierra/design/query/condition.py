@@ -147,7 +147,7 @@ def _comparison(text: str, quotes: Sequence[str], axes: Sequence[Axis], labels: 
     """Return a comparison; `quotes` are the parts in quotes, which `"0"`, `"1"`, … stand for in its text."""
 
     def written(part: str) -> str:
-        return _PLACE.sub(lambda place: quotes[int(place[1])], part)
+        return _PLACE.sub(lambda mark: quotes[int(mark[1])], part)
 
     match = _COMPARISON.fullmatch(text)
     if match is None:

@@ -56,7 +56,7 @@ _IN_RUN = f"{INSIDE}/run"
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where a build is executed."""
+    """The location where a build is executed."""
 
     root: Path
     """The folder of the code."""
@@ -76,7 +76,7 @@ class Ended:
     products: tuple[Product, ...] = ()
 
 
-def perform(recipe: Recipe, place: Place, store: Store, session: Session) -> Ended:
+def perform(recipe: Recipe, location: Place, store: Store, session: Session) -> Ended:
     """Execute the command of a build until its end. Raises Missing if the disk is full, or if the image is unavailable.
 
     If this process is interrupted, all processes of the build are ended.
@@ -85,30 +85,30 @@ def perform(recipe: Recipe, place: Place, store: Store, session: Session) -> End
     with disk_errors(folder):
         for name in (RUN_HOME, RUN_TMP):
             (folder / name).mkdir(parents=True)
-    isolation = _isolated(recipe, place, store, session)
+    isolation = _isolated(recipe, location, store, session)
     log.info("build %s begins", recipe.id)
     started = datetime.now(UTC)
     temporary = Temporary(str(folder))
     try:
-        exit_code, reason = _execute_all(recipe, place, session, isolation, temporary.make(str(folder)))
+        exit_code, reason = _execute_all(recipe, location, session, isolation, temporary.make(str(folder)))
     finally:
         temporary.close()
         isolation.close()
     ended = datetime.now(UTC)
     log.info("build %s ended: %s", recipe.id, reason or "well")
     if reason is not None:
-        _check_disk(place.root, folder, folder / LOG)
+        _check_disk(location.root, folder, folder / LOG)
         return Ended(started, ended, exit_code, reason)
-    if lacking := build_products.unmatched(place.root, recipe.patterns):
+    if lacking := build_products.unmatched(location.root, recipe.patterns):
         return Ended(started, ended, exit_code, f"it made no file that matches {lacking[0]!r} of produces")
-    return Ended(started, ended, exit_code, None, build_products.hashed(place.root, recipe.patterns))
+    return Ended(started, ended, exit_code, None, build_products.hashed(location.root, recipe.patterns))
 
 
 def record(
-    recipe: Recipe, ended: Ended, place: Place, store: Store, session: Session, *, batch: str, purpose: Purpose
+    recipe: Recipe, ended: Ended, location: Place, store: Store, session: Session, *, batch: str, purpose: Purpose
 ) -> BuildRow:
     """Record a build with its products, its programs and its log; return its row."""
-    programs, compiler = _versions(recipe, place)
+    programs, compiler = _versions(recipe, location)
     writer = store.writer(session.paths.segment, batch)
     objects = Objects(writer.path("objects"))
     content, _ = kept_of(str(session.paths.building / LOG))
@@ -127,7 +127,7 @@ def record(
         host_access=list(spec.host_access),
         programs=recipe.programs.id,
         host=socket.gethostname(),
-        engine=place.engine.name,
+        engine=location.engine.name,
         started=ended.started,
         ended=ended.ended,
         exit_code=ended.exit_code,
@@ -165,27 +165,27 @@ def failure(ended: Ended, store: Store, session: Session) -> SierraError:
     return SierraError(f"the build failed, so nothing was executed: {ended.reason}{cause}; log: {file}")
 
 
-def _versions(recipe: Recipe, place: Place) -> tuple[Programs, str | None]:
+def _versions(recipe: Recipe, location: Place) -> tuple[Programs, str | None]:
     """Return the programs of a build with the versions that they report, and those of the compilers in one line."""
     if recipe.spec.image is not None:
         return recipe.programs, None
-    variables = commands.declared(recipe.spec.environment, place.root, place.project.root)
-    found = reported_versions.with_versions(recipe.programs, place.project.config.programs, variables, place.root)
+    variables = commands.declared(recipe.spec.environment, location.root, location.project.root)
+    found = reported_versions.with_versions(recipe.programs, location.project.config.programs, variables, location.root)
     named = [one.version for one in found.all if one.path in recipe.compilers and one.version]
     first = [one.version for one in found.all[:1] if one.version]
     return found, "; ".join(dict.fromkeys(named or first)) or None
 
 
-def _isolated(recipe: Recipe, place: Place, store: Store, session: Session) -> Isolation:
+def _isolated(recipe: Recipe, location: Place, store: Store, session: Session) -> Isolation:
     """Return the isolation of a build: that of the runs, except that it may write to the project."""
     isolation = contain(
-        place.engine,
-        place.image,
-        recipe.placed(place.root),
-        place.project.config.container,
+        location.engine,
+        location.image,
+        recipe.placed(location.root),
+        location.project.config.container,
         Limits(recipe.wall),
-        code=place.root,
-        project=place.project.root,
+        code=location.root,
+        project=location.project.root,
         store=store.paths,
         session=session.id,
     )
@@ -196,18 +196,18 @@ def _isolated(recipe: Recipe, place: Place, store: Store, session: Session) -> I
     return replace(isolation, box=replace(box, mounts=mounts, shared=False))
 
 
-def _client(recipe: Recipe, place: Place, session: Session, isolation: Isolation, temporary: str | None) -> Client:
+def _client(recipe: Recipe, location: Place, session: Session, isolation: Isolation, temporary: str | None) -> Client:
     """Return the program to start: the command itself, or the client that starts it in a container.
 
     `temporary` is the command's folder for temporary files, if it has a short one.
     """
     folder = str(session.paths.building)
     box = isolation.box
-    code = Path(PROJECT) if box else place.root
-    argv = _argv(recipe, code, place)
+    code = Path(PROJECT) if box else location.root
+    argv = _argv(recipe, code, location)
     here = _IN_RUN if box else folder
     variables = {
-        **commands.within(place.image, _filled(recipe.spec.environment, code, place)),
+        **commands.within(location.image, _filled(recipe.spec.environment, code, location)),
         "HOME": f"{here}/{RUN_HOME}",
         "TMPDIR": "/tmp" if box else temporary or f"{here}/{RUN_TMP}",  # noqa: S108 - the container's own
         "SIERRA_SESSION": session.id,
@@ -221,38 +221,38 @@ def _client(recipe: Recipe, place: Place, session: Session, isolation: Isolation
         Mount(f"{folder}/{RUN_TMP}", "/tmp", writable=True),  # noqa: S108
     )
     process = Process(argv, variables, own, os.path.normpath(f"{PROJECT}/{recipe.folder}"))
-    client = place.engine.client(box, process)
+    client = location.engine.client(box, process)
     filled = with_folder(
         {"argv": list(client.argv), "environment": dict(client.environment), "stop": list(client.stop)}, folder
     )
     return Client(tuple(filled["argv"]), filled["environment"], tuple(filled.get("stop", ())))
 
 
-def _argv(recipe: Recipe, code: Path, place: Place) -> tuple[str, ...]:
+def _argv(recipe: Recipe, code: Path, location: Place) -> tuple[str, ...]:
     """Return the command as it is started. Only its program gets a whole path: compilers put paths of files into products."""
-    first = recipe.placed(place.root).command[0]
+    first = recipe.placed(location.root).command[0]
     words = (first if "/" in recipe.spec.command[0] else recipe.spec.command[0], *recipe.spec.command[1:])
-    return _fill(words, code, place)
+    return _fill(words, code, location)
 
 
-def _fill(words: tuple[str, ...], code: Path, place: Place) -> tuple[str, ...]:
-    contained = {"python": PYTHON} if place.image else {}
-    return commands.fill(words, code, contained, project=None if contained else place.project.root)
+def _fill(words: tuple[str, ...], code: Path, location: Place) -> tuple[str, ...]:
+    contained = {"python": PYTHON} if location.image else {}
+    return commands.fill(words, code, contained, project=None if contained else location.project.root)
 
 
-def _filled(variables: Mapping[str, str], code: Path, place: Place) -> dict[str, str]:
-    return {name: _fill((value,), code, place)[0] for name, value in variables.items()}
+def _filled(variables: Mapping[str, str], code: Path, location: Place) -> dict[str, str]:
+    return {name: _fill((value,), code, location)[0] for name, value in variables.items()}
 
 
 def _execute_all(
-    recipe: Recipe, place: Place, session: Session, isolation: Isolation, temporary: str | None
+    recipe: Recipe, location: Place, session: Session, isolation: Isolation, temporary: str | None
 ) -> tuple[int | None, str | None]:
     """Execute a build's command for each processor until one fails; return the last exit status, and why it failed."""
     exit_code, reason, output = None, None, session.paths.building / LOG
     for part in recipe.executions:
-        client = _client(part, place, session, isolation, temporary)
+        client = _client(part, location, session, isolation, temporary)
         try:
-            exit_code, reason = _execute(client, place.root / recipe.folder, output, recipe.wall)
+            exit_code, reason = _execute(client, location.root / recipe.folder, output, recipe.wall)
         finally:
             if client.stop:
                 end_container({"argv": [], "environment": dict(client.environment), "stop": list(client.stop)})

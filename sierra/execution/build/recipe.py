@@ -131,30 +131,30 @@ def complete(recipe: Recipe, root: Path, project: Path, box: Container | None) -
 
 def _complete(recipe: Recipe, root: Path, project: Path, box: Container | None) -> Recipe:
     placed = recipe.placed(root)
-    made = {f"{IN_PROJECT}{name}" for name in build_products.names(root, recipe.patterns)}
+    products = {f"{IN_PROJECT}{name}" for name in build_products.names(root, recipe.patterns)}
     if recipe.spec.image is not None:
         mounted = container_setup.data(NOTHING, box, project) if box else NOTHING
         used = checkout.programs_in(placed, recipe.manifest, root, mounted, project)
-        return replace(recipe, programs=_inputs(used, placed, made))
+        return replace(recipe, programs=_inputs(used, placed, products))
     variables = commands.declared(placed.environment, root, project)
     try:
         used = checkout.programs_in(placed, recipe.manifest, root, NOTHING, project)
-        found = {path: name for name, path in _compilers(recipe, variables["PATH"])}
-        for path, name in found.items():
+        compiler_names = {path: name for name, path in _compilers(recipe, variables["PATH"])}
+        for path, name in compiler_names.items():
             own = fingerprint_programs.find((path,), variables, root, project=project)
-            used = _with(used, tuple(replace(one, name=name) if one.path == path else one for one in own.all))
+            used = _with(used, tuple(replace(program, name=name) if program.path == path else program for program in own.all))
     except Missing as error:
         raise Missing(f"[build] command: {error}") from error
-    return replace(recipe, programs=_inputs(used, placed, made), compilers=tuple(found))
+    return replace(recipe, programs=_inputs(used, placed, products), compilers=tuple(compiler_names))
 
 
-def _inputs(used: Programs, placed: RunSpec, made: AbstractSet[str]) -> Programs:
+def _inputs(used: Programs, placed: RunSpec, products: AbstractSet[str]) -> Programs:
     """Return the programs without products, and without files that a word names only by their folder: builds change both."""
     words = (*placed.command, *placed.environment.values())
 
     def counts(one: Program) -> bool:
         inside = one.kind is Kind.FILE and one.name.startswith(IN_PROJECT)
-        return one.name not in made and (not inside or any(one.name in word for word in words))
+        return one.name not in products and (not inside or any(one.name in word for word in words))
 
     return replace(used, all=tuple(one for one in used.all if counts(one)))
 

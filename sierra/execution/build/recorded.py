@@ -111,9 +111,9 @@ def rebuild(
         recipe = replace(recipe, spec=replace(recipe.spec, environment=variables, image=None, host_access=()))
     root = session.paths.source
     recipe = complete(recipe, root, project.root, project.config.container if recipe.spec.image else None)
-    place = Place(root, project, engine, None if hosted else inside)
-    ended = perform(recipe, place, store, session)
-    record(recipe, ended, place, store, session, batch=recorded.row.batch, purpose=Purpose.REPLAY)
+    location = Place(root, project, engine, None if hosted else inside)
+    ended = perform(recipe, location, store, session)
+    record(recipe, ended, location, store, session, batch=recorded.row.batch, purpose=Purpose.REPLAY)
     if ended.reason is not None:
         raise failure(ended, store, session)
     return _compared(recorded.products, ended.products)

@@ -18,7 +18,7 @@ GPU = "{gpu}"
 
 @dataclass(frozen=True, slots=True)
 class Current:
-    """Where the files are that runs would use now."""
+    """The folders and names of the files that runs would use now."""
 
     folders: Mapping[str, Path]
     """Folders that names of files refer to, by name."""

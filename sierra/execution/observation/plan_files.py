@@ -1,4 +1,4 @@
-"""Where the files are that runs of a plan would use now."""
+"""The folders and names of the files that runs of a plan would use now."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ def compare(project: LoadedProject, store: Store, before: str, after: str, *, re
     return Comparison(
         before=old,
         after=new,
-        differences=tuple(sorted(differing, key=lambda one: one.rank)),
+        differences=tuple(sorted(differing, key=lambda difference: difference.rank)),
         same=tuple(kind for kind in KINDS if kind in compared),
         notes=tuple(dict.fromkeys(note.text for note in notes)),
     )
@@ -75,7 +75,9 @@ FOLLOWING = ("as asked", "the seed")
 def made_other(project: LoadedProject, store: Store, before: str, after: str) -> tuple[Difference, ...]:
     """Return the differences that make the runs of two batches different. Both arguments are batch ids."""
     compared = compare(project, store, before, after, results_too=False)
-    return tuple(one for one in compared.differences if one.kind in MADE and one.name not in FOLLOWING)
+    return tuple(
+        difference for difference in compared.differences if difference.kind in MADE and difference.name not in FOLLOWING
+    )
 
 
 OTHER_SETTINGS = Difference(
@@ -94,7 +96,7 @@ def other_plan(plan: Plan, store: Store, batch: str) -> tuple[Difference, ...]:
             *changed("inputs", "names", list(before.names), list(after.names), called="names of the input files"),
             *code.exclusions(store, before, after),
         ]
-    return tuple(sorted(differing, key=lambda one: one.rank)) or (OTHER_SETTINGS,)
+    return tuple(sorted(differing, key=lambda difference: difference.rank)) or (OTHER_SETTINGS,)
 
 
 Part: TypeAlias = tuple[tuple[str, ...], Iterable[Difference]]

@@ -75,10 +75,10 @@ def _identified(row: ProgramRow) -> Identified:
 
 
 def _which(rows: Sequence[ProgramRow]) -> str:
-    return " and ".join(dict.fromkeys(map(_one, rows))) or "not present"
+    return " and ".join(dict.fromkeys(map(_version, rows))) or "not present"
 
 
-def _one(row: ProgramRow) -> str:
+def _version(row: ProgramRow) -> str:
     version, digest = row.version or "", short(row.sha256 or "")
     return f"{shown(version)} ({digest})" if version and "\n" not in version else digest
 

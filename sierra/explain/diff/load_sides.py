@@ -133,7 +133,7 @@ def of_batch(snapshot: Snapshot, batch: str) -> ComparedRuns:
 RUNS_OF_BATCH = "(SELECT DISTINCT ordinal, number FROM batch_runs WHERE batch = $b)"
 
 
-def _recorded(snapshot: Snapshot, found: ResolvedId, batch_id: str, table: str = "") -> ComparedRuns:
+def _recorded(snapshot: Snapshot, resolved: ResolvedId, batch_id: str, table: str = "") -> ComparedRuns:
     """Return a side of recorded runs: those in a table, or all of a batch."""
     snapshot.views.make(("batch_runs", "specs", "sources", "replays"))
     batch = required_row(BatchRow, snapshot, "SELECT * FROM batches WHERE batch = $b", b=batch_id)
@@ -141,9 +141,9 @@ def _recorded(snapshot: Snapshot, found: ResolvedId, batch_id: str, table: str =
     count = f"SELECT ordinal, count(*) FROM {table or RUNS_OF_BATCH} GROUP BY ordinal"  # noqa: S608 - our own names
     runs: dict[int, int] = dict(snapshot.run(count, {} if table else {"b": batch_id}))
     cells = {position: cell for position, cell in snapshot.cells(batch_id).items() if position in runs}
-    session = _session(snapshot, found, batch_id)
+    session = _session(snapshot, resolved, batch_id)
     return ComparedRuns(
-        found=found,
+        found=resolved,
         table=table,
         runs=sum(runs.values()),
         batch=batch,

@@ -331,12 +331,12 @@ def welch(was: Mean, now: Mean) -> tuple[float, float] | None:
     """Return the 95 % interval of the difference of two means; None if a side has fewer than two values."""
     if min(was.n, now.n) < 2:
         return None
-    errors = [one.sd / sqrt(one.n) for one in (was, now)]
+    errors = [mean.sd / sqrt(mean.n) for mean in (was, now)]
     error = hypot(*errors)
     if not isfinite(error):
         return None
-    parts = [(one / error) ** 2 if error else 0.0 for one in errors]
-    weight = sum(part**2 / (one.n - 1) for part, one in zip(parts, (was, now), strict=True))
+    parts = [(own / error) ** 2 if error else 0.0 for own in errors]
+    weight = sum(part**2 / (mean.n - 1) for part, mean in zip(parts, (was, now), strict=True))
     freedom = 1 / weight if weight else float(was.n + now.n - 2)
     t = student_t.quantiles((1 + LEVEL) / 2, max(1, int(freedom)))[-1]
     return now.mean - was.mean - t * error, now.mean - was.mean + t * error

@@ -260,7 +260,7 @@ class Argos:
         """Return the rendering by the visualization of ARGoS on a display; its frames have their tick in their names."""
 
         def changes(document: Reader) -> tuple[Change, ...]:
-            center, sides = (tuple(map(float, one)) for one in (_center(document), _vector(document, f"{ARENA}/@size")))
+            center, sides = (tuple(map(float, vector)) for vector in (_center(document), _vector(document, f"{ARENA}/@size")))
             rate = _number_at(document, RATE)
             every = max(1, round((capture.interval or 0) * rate))
             ticks = math.ceil(_number_at(document, LENGTH) * rate)

@@ -53,7 +53,7 @@ LETTERS_IN_ALL = 12_000_000
 WALL_S = 30.0
 """The time limit of an answer, in s."""
 LONG_WALL_S = 600.0
-"""That of reports and comparisons."""
+"""The time limit of reports and comparisons, in s."""
 MEMORY = 2_000_000_000
 SETTINGS = (f"SET memory_limit = '{MEMORY}B'", "SET max_temp_directory_size = '0B'")
 """Limits on all statements: a statement from the page must not fill the memory or the disk."""

@@ -244,9 +244,9 @@ class RunTable:
         """Return the relation of rows, with the final values that columns or a condition need."""
         outputs = {column.output for column in columns if column.output}
         outputs |= {output for output in self._snapshot.views.outputs if _is_named(output, where)}
-        return f'"# runs" AS runs{"".join(f" LEFT JOIN {self._made(name)} USING (run)" for name in sorted(outputs))}'
+        return f'"# runs" AS runs{"".join(f" LEFT JOIN {self._final_values(name)} USING (run)" for name in sorted(outputs))}'
 
-    def _made(self, output: str) -> str:
+    def _final_values(self, output: str) -> str:
         """Return the table with the final values of an output, which is computed when it is needed first."""
         if output not in self._final:
             time = identifier(self.time(output))

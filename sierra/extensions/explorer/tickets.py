@@ -22,7 +22,7 @@ MOST_BYTES = 100 << 20
 """The largest size of all pages in memory; the last one may be larger."""
 PREFIX = "/made/"
 ServedContent = bytes | CheckedFile | Callable[[], bytes]
-"""What is in memory, in a file, or to be read each time that it is wanted."""
+"""Content in memory, in a file, or read again for each request."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +45,7 @@ class ServedFile:
 
 
 class Tickets:
-    """What the server has given out addresses for."""
+    """The pages and files that the server has given out addresses for."""
 
     def __init__(self) -> None:
         self._made: dict[str, ServedFile] = {}

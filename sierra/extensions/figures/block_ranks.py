@@ -67,7 +67,7 @@ def ranking(groups: Sequence[str], values: Floats, test: Test, alpha: float, *, 
     """Return the ranking of groups by their values: a row for each block, a column for each group; two of each at least."""
     values = each_alike(values)
     means = rank_tests.mean_ranks_in_blocks(-values if best_is_high else values)
-    order = sorted(range(len(groups)), key=lambda place: means[place])
+    order = sorted(range(len(groups)), key=lambda group: means[group])
     names, values = [groups[group] for group in order], values[:, order]
     of_pairs = _by_wilcoxon if test == "wilcoxon" or len(groups) == 2 else _by_nemenyi
     p = rank_tests.friedman(values)[1] if len(groups) > 2 else None

@@ -230,14 +230,14 @@ def _curves_of_classes(
     entries = style.names([drawing.figure.labels.get(str(value), value) for value in axis.values])
     for ordinal, plot in plots.items():
         by_run = [_of_classes(run, of, len(classes)) for run in _runs(parts[ordinal])]
-        curves = [[found[index] for found in by_run if index in found] for index in range(len(classes))]
+        curves = [[run_curves[index] for run_curves in by_run if index in run_curves] for index in range(len(classes))]
         curves.append([curve for run in _runs(together[ordinal]) if (curve := of(run)) is not None])
-        whole = [[*found.values()] for found in by_run if len(found) == len(classes)]
+        whole = [[*run_curves.values()] for run_curves in by_run if len(run_curves) == len(classes)]
         curves.append([(np.mean([c for c, _ in all_], axis=0), float(np.mean([area for _, area in all_]))) for all_ in whole])
-        for index, (found, look) in enumerate(zip(curves, looks, strict=True)):
+        for index, (class_curves, look) in enumerate(zip(curves, looks, strict=True)):
             look.pop("marker", None)
-            if found:
-                area = _mean_curve(plot, found, look)
+            if class_curves:
+                area = _mean_curve(plot, class_curves, look)
                 entries[index] += f" ({summed} {area})" if len(plots) == 1 else ""
         _frame(plot, diagonal=diagonal, parts=True)
     style.outer_labels(list(plots.values()), drawing.figure.xlabel or xlabel, drawing.figure.ylabel or ylabel)

@@ -115,8 +115,8 @@ def diagram(drawing: Drawing, options: CriticalDifferenceOptions) -> Figure:
     _axis(plot, drawing)
     if ranks.critical is not None:
         _critical(plot, ranks.critical, count)
-    for place, (name, rank, row) in enumerate(zip(names, ranks.ranks, rows, strict=True)):
-        _group(plot, name, rank, -below - sum(high[:row]) - high[row] / 2, at=1 if place < left else count)
+    for index, (name, rank, row) in enumerate(zip(names, ranks.ranks, rows, strict=True)):
+        _group(plot, name, rank, -below - sum(high[:row]) - high[row] / 2, at=1 if index < left else count)
     for line, (start, end) in enumerate(ranks.bars, 1):
         ends = [ranks.ranks[start] - 0.012 * count, ranks.ranks[end] + 0.012 * count]
         plot.plot(ends, [-BAR * line] * 2, color="black", linewidth=2.4, solid_capstyle="butt", clip_on=False)

@@ -116,7 +116,7 @@ def _checks(host: HostToCheck) -> Iterator[Check]:
         began = time.monotonic()
         link.run(["true"])
         yield Check(f"{host.name}: connection", "ok", f"{host.link}, in {time.monotonic() - began:.2f} s; its key is known")
-        fits = yield from _look(host, link)
+        fits = yield from _common_checks(host, link)
         if fits and host.own:
             yield from host.own(host, link)
     except UntrustedHost as error:
@@ -131,7 +131,7 @@ def _checks(host: HostToCheck) -> Iterator[Check]:
         link.close()
 
 
-def _look(host: HostToCheck, link: Link) -> Generator[Check, None, bool]:
+def _common_checks(host: HostToCheck, link: Link) -> Generator[Check, None, bool]:
     """Yield the checks that any host gets; return whether its Python fits."""
     asked = {"folder": host.folder, "programs": PROGRAMS}
     ended = link.run([host.python, "-c", LOOK, json.dumps(asked)])

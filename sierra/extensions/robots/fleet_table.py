@@ -154,13 +154,13 @@ def allocate(table: FleetTable, places: Sequence[tuple[int, str]]) -> dict[int, 
     fleet = 'the fleet with its "use"' if table.use else "the fleet"
     have = {group: f"{fleet} has {len(names)}" for group, names in free.items()}
     named = {robot.group for robot in table.fleet.values()} | {BASE}
-    sources = {place: group if group in named else ROBOT for place, group in places}
+    sources = {number: group if group in named else ROBOT for number, group in places}
     taken: dict[int, str] = {}
-    for place, source in sources.items():
+    for number, source in sources.items():
         if not free.get(source):
             need = Counter(sources.values())[source]
-            raise ConfigError(_too_few(source, have.get(source, f"{fleet} has 0"), need, possible=place - 1))
-        taken[place] = free[source].pop(0)
+            raise ConfigError(_too_few(source, have.get(source, f"{fleet} has 0"), need, possible=number - 1))
+        taken[number] = free[source].pop(0)
     return taken
 
 

@@ -66,12 +66,12 @@ class _Ended(NamedTuple):
     executions: int
 
 
-def lines(state: BatchState, place: Place) -> Iterator[Markup]:
+def lines(state: BatchState, position: Place) -> Iterator[Markup]:
     """Yield the elements about the robots of a batch; nothing if it has none."""
     if not state.shown.spec.robots:
         return
     robots = state.store.select(_Robot, ROBOTS, b=state.id)
-    yield element(place.inner, "Robots")
+    yield element(position.inner, "Robots")
     digits = [digits_apart(column, 3) for column in zip(*robots[:SHOWN], strict=True)]
     rows = [
         tuple(short_number(value, many) if isinstance(value, float) else value for value, many in zip(row, digits, strict=True))

@@ -212,7 +212,7 @@ class Robots:
         """Execute one run as `_run` does, once. `lead` is as in `Trial.execute`. Raises SierraError."""
         self._check_room()
         taken = allocate(self._table, [(member.place, member.group) for member in job.members])
-        robots = {place: self._robot(name) for place, name in taken.items()}
+        robots = {number: self._robot(name) for number, name in taken.items()}
         each(Robot.connect, robots.values())
         each(Robot.examine, robots.values())
         each(Robot.supply, robots.values())
@@ -220,7 +220,7 @@ class Robots:
             return
         fitting.check_addresses({robot.name: robot.address for robot in robots.values()})
         fitting.check_time_zones({robot.name: robot.hello for robot in robots.values()})
-        addresses = {f"SIERRA_ADDRESS_{place}": robot.address for place, robot in robots.items() if robot.address}
+        addresses = {f"SIERRA_ADDRESS_{number}": robot.address for number, robot in robots.items() if robot.address}
         parts = [self._part(job, member, robots[member.place], addresses) for member in job.members]
         attempt = f"{job.execution[:16]}-{secrets.token_hex(4)}"
         trial = Trial(

@@ -143,9 +143,9 @@ class Robots:
         for robots, the document stays as it is.
         """
         root = _parsed(document)
-        count, seed, place = (self._setting(root, name) for name in ("population_size", "random_seed", "place"))
+        count, seed, robot = (self._setting(root, name) for name in ("population_size", "random_seed", "place"))
         groups = [group for group in root.findall("group") if self._stands(group)]
-        if self.poses and (count is None or (place is None and len(groups) != 1)):
+        if self.poses and (count is None or (robot is None and len(groups) != 1)):
             raise TemplateError("poses need one group that is one robot, which gets them; set group in [platforms.ros]")
         if count is None:
             if self.shared:
@@ -156,23 +156,23 @@ class Robots:
         if not count.isdecimal() or int(count) == 0:
             raise TemplateError(f"population_size is {count!r}; use a whole number of 1 or more")
         if len(groups) != 1:
-            if place is None and len(groups) == int(count):  # all robots are in the template
+            if robot is None and len(groups) == int(count):  # all robots are in the template
                 return document
             raise TemplateError(
                 f"population_size is {count}, but {len(groups)} groups stand for robots; set group in [platforms.ros]"
             )
         at = list(root).index(groups[0])
-        if place is not None:
-            *_, pose = (None, *self._poses(int(place), seed or "0"))
-            copies = [self._copy(groups[0], int(place), pose)] if int(place) else []
+        if robot is not None:
+            *_, pose = (None, *self._poses(int(robot), seed or "0"))
+            copies = [self._copy(groups[0], int(robot), pose)] if int(robot) else []
         else:
             copies = [self._copy(groups[0], number, pose) for number, pose in enumerate(self._poses(int(count), seed or "0"))]
         root[at : at + 1] = copies
         if self.shared:
             self._keep_own(root, copies)
         self._check_names(root)
-        made: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
-        return made + b"\n"
+        launch_file: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
+        return launch_file + b"\n"
 
     def read_poses(self, document: bytes) -> Iterator[PlanePose]:
         """Yield the poses that the copies in a launch file have."""

@@ -36,7 +36,7 @@ def _proposals(content: bytes, name: str) -> Sequence[Proposal]:
         with opened(OriginalFile(Written(str(path), "", "", name, "", 0, True, len(content)))) as bag:
             index = bag.index()
     alike: dict[tuple[str, str], list[Channel]] = {}
-    for channel in sorted(index, key=lambda one: (one.topic, one.number)):
+    for channel in sorted(index, key=lambda channel: (channel.topic, channel.number)):
         alike.setdefault((channel.type, _rest(channel.topic)), []).append(channel)
     types = MessageTypes("")
     return [_proposal(channels, sum(index[entry] for entry in channels), types) for channels in alike.values()]

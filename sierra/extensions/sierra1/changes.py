@@ -83,7 +83,7 @@ def listed(section: Plain | None, where: str) -> Iterator[Old | str]:
 def translated(old: Old, trial: Trial, controller: str) -> Change | str:
     """Return the new form of a change and add it to the trial, or return why it cannot be carried over."""
     try:
-        made = _made(old, trial, controller)
+        made = _converted(old, trial, controller)
     except SierraError as error:
         return f"{old}: {error}"
     if isinstance(made, str):
@@ -101,7 +101,7 @@ def xpath(path: str, controller: str) -> str:
     return f"{ROOT}/{path.removeprefix('./')}"
 
 
-def _made(old: Old, trial: Trial, controller: str) -> Change | str:
+def _converted(old: Old, trial: Trial, controller: str) -> Change | str:
     path, second, *rest = old.words
     if "__UUID__" in path:
         return "__UUID__ stands for each robot; add one change for each"

@@ -56,7 +56,7 @@ def graphs(old: OldProject, folder: str) -> Graphs:
         content = old.section(file)
         for where, part in {section: dict(content)}.items() if section and content else content.items():
             if where in OTHERS:
-                converted.left_out += _others(file, where, part)
+                converted.left_out += _not_converted(file, where, part)
             elif where not in ("intra-exp", "inter-exp"):
                 converted.left_out.append(f"{file}: {where}: unknown section")
             else:
@@ -65,7 +65,7 @@ def graphs(old: OldProject, folder: str) -> Graphs:
     return converted
 
 
-def _others(file: str, where: str, part: Plain | None) -> Iterator[str]:
+def _not_converted(file: str, where: str, part: Plain | None) -> Iterator[str]:
     for graph in part if isinstance(part, list) else [part]:
         stem = str(graph.get("dest_stem") or graph.get("src_stem") or "?") if isinstance(graph, dict) else "?"
         yield f"{file}: {where}: {stem}: {OTHERS[where].format(stem=stem)}"

@@ -29,11 +29,11 @@ def write(prepared: Prepared, folder: Path, jobs: int, progress: Progress) -> tu
     first, *others = prepared.batches.values()
     origin = origin_of(first, prepared.data, *others)
 
-    def make(one: Ready, format: Format) -> Sequence[Path]:
+    def make(ready: Ready, format: Format) -> Sequence[Path]:
         if format == "png":
-            return encode.stills(_of_times(one, folder), told.each(frames(prepared, one)), origin)
-        path = folder / f"{fitting(one.film.name)}.{format}"
-        encode.encode(path, told.each(frames(prepared, one)), prepared.video.rate(len(one.times), format), format, origin)
+            return encode.stills(_of_times(ready, folder), told.each(frames(prepared, ready)), origin)
+        path = folder / f"{fitting(ready.film.name)}.{format}"
+        encode.encode(path, told.each(frames(prepared, ready)), prepared.video.rate(len(ready.times), format), format, origin)
         return [path]
 
     with settings(), ThreadPoolExecutor(max(1, min(jobs, len(work)))) as pool:

@@ -80,7 +80,7 @@ def videos(
         galleries = _galleries(project, store, batches, _tables(wanted), frames)
         first = next(iter(galleries.values()))
         recorder = Recorder(store, project.root, first.frame.batch, first.frame)
-        notes = [*(f"video {note}" for note in invalid), *_once(galleries, lambda one: one.declared_notes)]
+        notes = [*(f"video {note}" for note in invalid), *_once(galleries, lambda gallery: gallery.declared_notes)]
         folder = marked_folder(ProjectPaths(project.root).drawn("-".join(map(short, batches.values()))), MARK)
         try:
             for name, video in wanted.items():
@@ -101,7 +101,7 @@ def videos(
                 complete &= prepared.complete
         finally:
             notes += _recorded(recorder)
-        notes += _once(galleries, lambda one: one.time_notes.values())
+        notes += _once(galleries, lambda gallery: gallery.time_notes.values())
     return RenderedVideos(written, notes, complete)
 
 

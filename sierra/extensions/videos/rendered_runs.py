@@ -144,9 +144,9 @@ def _rendering(project: LoadedProject, recorded: RunSpec) -> Rendering:
     produced = config.build.produces if config.build else ()
     known = (*OWN_PLACEHOLDERS, *PORT_NAMES)
 
-    def checked(words: Sequence[str], place: str) -> tuple[str, ...]:
+    def checked(words: Sequence[str], key: str) -> tuple[str, ...]:
         return commands.checked(
-            words, project.root, place, known, contained=contained, made=produced, declared=Declared(), project=config
+            words, project.root, key, known, contained=contained, produced=produced, declared=Declared(), project=config
         )
 
     command = checked(table.command, "[capture] command") or recorded.command

@@ -215,12 +215,12 @@ class _Matrix:
             values[cells] = columns["value"]
             yield (values.reshape(high, wide),)
 
-    def _cells(self, columns: Columns, place: int) -> npt.NDArray[np.intp]:
+    def _cells(self, columns: Columns, index: int) -> npt.NDArray[np.intp]:
         """Return the place of each row in the matrix. Raises UsageError unless each cell has exactly one row."""
         import numpy as np
 
         i, j = (columns[name].astype(np.float64) for name in ("i", "j"))
-        where = f"output {self._rows.source.output.name!r}, {self._rows.at(place)}"
+        where = f"output {self._rows.source.output.name!r}, {self._rows.at(index)}"
         if not (np.isfinite(i).all() and np.isfinite(j).all()):
             raise UsageError(f"{where}: a row has no number of its row or column in the matrix")
         high, wide = self._grid.shape

@@ -69,7 +69,7 @@ def _effect(
     if df_error < 1:
         raise UsageError("there are too few runs for main effects and interactions: each combination needs two or more")
     explained = max(0.0, without - error)
-    name = " × ".join(names[place] for place in term)
+    name = " × ".join(names[factor] for factor in term)
     if error <= 1e-9 * max(1.0, without):
         none = explained <= 1e-9
         return Effect(name, 0.0 if none else np.inf, df, df_error, 1.0 if none else 0.0, 0.0 if none else 1.0)
@@ -93,7 +93,7 @@ def _subsets(places: Sequence[int]) -> Iterator[tuple[int, ...]]:
 
 def _columns(term: tuple[int, ...], codes: Codes, sizes: Sequence[int]) -> Floats:
     """Return the columns of an effect in the design matrix, with contrasts that sum to zero; of no factor, the constant."""
-    parts = [_contrasts(codes[place], sizes[place]) for place in term]
+    parts = [_contrasts(codes[factor], sizes[factor]) for factor in term]
     columns = [np.prod([np.ones(codes.shape[1]), *chosen], axis=0) for chosen in product(*(part.T for part in parts))]
     return np.column_stack(columns)
 

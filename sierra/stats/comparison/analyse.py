@@ -54,21 +54,21 @@ def analyse(
     if factors:
         complete = [replace(complete[0], names=tuple(factors))]
     censored = any(not run.reached for cell in complete for sample in cell.samples for run in sample.values)
-    chosen, found = _chosen(complete, question, name, censored=censored)
+    chosen, decision = _chosen(complete, question, name, censored=censored)
     method: ComparisonMethod = COMPARISONS.make(chosen, tables or {})
-    if found.paired:
+    if decision.paired:
         notes += _unpaired_runs(complete)
         complete = [cell for cell in complete if pairing.common_seeds(cell.samples)]
     else:
         notes += _unequal(complete)
-    tests = [_checked(method.compare(cell, question, paired=found.paired), method) for cell in complete]
+    tests = [_checked(method.compare(cell, question, paired=decision.paired), method) for cell in complete]
     result = Analysis(
         groups=tuple(dict.fromkeys(sample.group for cell in complete for sample in cell.samples)),
         question=question,
-        pairing=found,
-        pairs=tuple(pair for one in tests for pair in one.pairs),
-        omnibus=tuple(one.omnibus for one in tests if one.omnibus),
-        effects=tuple(effect for one in tests for effect in one.effects),
+        pairing=decision,
+        pairs=tuple(pair for test in tests for pair in test.pairs),
+        omnibus=tuple(test.omnibus for test in tests if test.omnibus),
+        effects=tuple(effect for test in tests for effect in test.effects),
         notes=tuple(notes),
         method=chosen,
         title=method.title,
@@ -85,7 +85,7 @@ def _check(cells: Sequence[Cell], question: Question) -> None:
     groups = [sample.group for sample in cells[0].samples] if cells else []
     if len(groups) < 2:
         raise UsageError(f"a comparison needs two groups or more, not {len(groups)}")
-    largest = max((abs(run.value) for cell in cells for one in cell.samples for run in one.values), default=0.0)
+    largest = max((abs(run.value) for cell in cells for sample in cell.samples for run in sample.values), default=0.0)
     if largest > LARGEST:
         raise SierraError(f"{largest:.3g} is too large to be compared; let runs write it in a larger unit")
     if question.against is not None and question.against not in groups:
@@ -97,7 +97,7 @@ def _chosen(cells: Sequence[Cell], question: Question, name: str, *, censored: b
     factors, rate = bool(cells[0].names), all(cell.rate for cell in cells)
     suitable = [shipped.suitable(factors=factors, censored=censored, rate=rate, paired=paired) for paired in (True, False)]
     names = suitable if name == AUTO else [name]
-    methods: list[type[ComparisonMethod]] = [COMPARISONS.load(one) for one in names]
+    methods: list[type[ComparisonMethod]] = [COMPARISONS.load(method_name) for method_name in names]
     takes = frozenset().union(*(method.takes for method in methods))
     title = methods[-1].title
     never = "some runs never reached the threshold, so their times are censored; " if censored else ""
@@ -118,8 +118,8 @@ def _chosen(cells: Sequence[Cell], question: Question, name: str, *, censored: b
         raise UsageError(f"the {title} needs a rate: a column of false and true, or one in rates of [outputs.NAME]")
     if "pairs" not in takes:
         return names[-1], Pairing(False, f"the {title} uses no pairs")
-    found = pairing.decide(cells, True if "samples" not in takes else question.paired)
-    return names[0 if found.paired else -1], found
+    decision = pairing.decide(cells, True if "samples" not in takes else question.paired)
+    return names[0 if decision.paired else -1], decision
 
 
 def _with_values(cells: Sequence[Cell], against: str | None, *, whole: bool) -> tuple[list[Cell], list[str]]:
@@ -145,10 +145,10 @@ def _lacking(cell: Cell, *, lost: bool) -> str:
 
 def _checked(tests: CellResult, method: ComparisonMethod) -> CellResult:
     """Return the tests of a method. Raises SierraError for a p value that is none, which would make verdicts wrong."""
-    found = [pair.p for pair in tests.pairs] + [effect.p for effect in tests.effects]
-    found += [tests.omnibus.p] if tests.omnibus else []
-    found += [pair.p_equivalent for pair in tests.pairs if pair.p_equivalent is not None]
-    if wrong := [p for p in found if not 0 <= p <= 1]:
+    p_values = [pair.p for pair in tests.pairs] + [effect.p for effect in tests.effects]
+    p_values += [tests.omnibus.p] if tests.omnibus else []
+    p_values += [pair.p_equivalent for pair in tests.pairs if pair.p_equivalent is not None]
+    if wrong := [p for p in p_values if not 0 <= p <= 1]:
         raise SierraError(f"the {method.title} has the p value {wrong[0]:g}, which is not from 0 to 1")
     return tests
 
@@ -185,14 +185,16 @@ def _unequal(cells: Sequence[Cell]) -> Iterator[str]:
 def _corrected(result: Analysis, method: ComparisonMethod) -> Analysis:
     """Return the result with p values that are corrected for all tests of their family together, and with verdicts."""
     equivalent = [pair.p_equivalent for pair in result.pairs if pair.p_equivalent is not None]
-    p = [one.p for one in result.pairs] + [one.p for one in result.effects] + equivalent
-    adjusted, of_omnibus = iter(rank_tests.holm(p)), iter(rank_tests.holm([one.p for one in result.omnibus]))
-    pairs = tuple(replace(one, p_adjusted=next(adjusted)) for one in result.pairs)
-    effects = tuple(replace(one, p_adjusted=next(adjusted)) for one in result.effects)
-    pairs = tuple(one if one.p_equivalent is None else replace(one, p_equivalent_adjusted=next(adjusted)) for one in pairs)
-    omnibus = tuple(replace(one, p_adjusted=next(of_omnibus)) for one in result.omnibus)
+    p = [pair.p for pair in result.pairs] + [effect.p for effect in result.effects] + equivalent
+    adjusted, of_omnibus = iter(rank_tests.holm(p)), iter(rank_tests.holm([test.p for test in result.omnibus]))
+    pairs = tuple(replace(pair, p_adjusted=next(adjusted)) for pair in result.pairs)
+    effects = tuple(replace(effect, p_adjusted=next(adjusted)) for effect in result.effects)
+    pairs = tuple(pair if pair.p_equivalent is None else replace(pair, p_equivalent_adjusted=next(adjusted)) for pair in pairs)
+    omnibus = tuple(replace(test, p_adjusted=next(of_omnibus)) for test in result.omnibus)
     best = _best(result)
-    pairs = tuple(replace(one, verdict=_verdict(one, result.question, least)) for one, least in zip(pairs, best, strict=True))
+    pairs = tuple(
+        replace(pair, verdict=_verdict(pair, result.question, least)) for pair, least in zip(pairs, best, strict=True)
+    )
     limits = (*_limits(pairs, best, result, len(p)), *_too_few(pairs, result, method, len(p)))
     return replace(result, omnibus=omnibus, pairs=pairs, effects=effects, tests=len(p), limits=limits)
 
@@ -208,17 +210,17 @@ def _best(result: Analysis) -> list[tuple[float, float]]:
 
 def _limits(pairs: Sequence[Pair], best: Sequence[tuple[float, float]], result: Analysis, tests: int) -> Iterator[str]:
     """Yield a note on the smallest p value that n allows, unless it is very small, and on pairs that can't be different."""
-    if not pairs or (least := max(one for one, _ in best)) < SMALL:
+    if not pairs or (least := max(lowest for lowest, _ in best)) < SMALL:
         return
-    place = [one for one, _ in best].index(least)
-    pair = pairs[place]
+    index = [lowest for lowest, _ in best].index(least)
+    pair = pairs[index]
     alone = f"the smallest possible p value with {runs_of(pair, paired=result.pairing.paired)} is {number(pair.smallest)}"
     text = f"{alone}, and {number(least)} after correction for {tests} tests (Holm)" if tests > 1 else alone
-    without = [pair for pair, (one, _) in zip(pairs, best, strict=True) if _above(one, result.question.alpha)]
+    without = [pair for pair, (lowest, _) in zip(pairs, best, strict=True) if _above(lowest, result.question.alpha)]
     if len(without) == len(pairs):
         yield f"no two groups can be found different: {text}"
     elif without:
-        names = [f"{where(one.point)}{one.first} and {one.second}" for one in without]
+        names = [f"{where(pair.point)}{pair.first} and {pair.second}" for pair in without]
         yield f"these groups cannot be found different: {few(names, SHOWN)}; {text}"
     else:
         yield text

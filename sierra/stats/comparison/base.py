@@ -55,7 +55,7 @@ class ComparisonMethod(Protocol):
     title: ClassVar[str]
     """The name of its test, as in `Mann-Whitney test`."""
     takes: ClassVar[frozenset[str]]
-    """What it can use, of `TAKES`; `pairs` or `samples` or both. Anything else is refused before it is called."""
+    """The inputs that it can use, of `TAKES`; `pairs` or `samples` or both. Any other is refused before it is called."""
     estimates: ClassVar[str]
     """Its differences, in the plural, as in `Hodges-Lehmann estimates`, for the figure and the text; empty if it has none."""
 
@@ -75,6 +75,6 @@ def pairs_of(cell: Cell, question: Question) -> list[tuple[int, int]]:
     """Return the places of each two samples to compare; `against` is always the first."""
     groups = [sample.group for sample in cell.samples]
     if question.against is None:
-        return [(one, other) for one in range(len(groups)) for other in range(one + 1, len(groups))]
+        return [(first, second) for first in range(len(groups)) for second in range(first + 1, len(groups))]
     base = groups.index(question.against)
-    return [(base, other) for other in range(len(groups)) if other != base]
+    return [(base, second) for second in range(len(groups)) if second != base]

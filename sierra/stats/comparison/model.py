@@ -112,7 +112,7 @@ class Pair:
     """The smallest p value that this test can have with this n; 0 if it can have any."""
     p_adjusted: float = 1.0
     estimate: str = "median difference"
-    """What `difference` is, in words."""
+    """The name of the estimate in `difference`."""
     p_equivalent: float | None = None
     """The p value of two one-sided tests (TOST) that the difference lies within the margin."""
     p_equivalent_adjusted: float | None = None
@@ -207,6 +207,6 @@ class Analysis:
     title: str = ""
     """The name of the method's test."""
     estimates: str = ""
-    """What the differences are, in the plural."""
+    """The name of the estimates of differences, in the plural."""
     version: int = VERSION
     """The version of how comparisons are computed."""

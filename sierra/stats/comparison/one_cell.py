@@ -36,11 +36,11 @@ def kruskal(cell: Cell) -> Omnibus:
     return Omnibus(cell.point, "Kruskal-Wallis test", groups, n, statistic, len(groups) - 1, p, ranks, None)
 
 
-def signed_rank(cell: Cell, question: Question, one: int, other: int) -> Pair:
+def signed_rank(cell: Cell, question: Question, i: int, j: int) -> Pair:
     """Compare two groups by the differences of pairs; with more groups, only seeds with a value in all of them count."""
     blocks = pairing.blocks(cell.samples)
-    (before, after), _ = ties.alike([blocks[:, one], blocks[:, other]])
-    differences, size = ties.differences(blocks[:, one], blocks[:, other])
+    (before, after), _ = ties.alike([blocks[:, i], blocks[:, j]])
+    differences, size = ties.differences(blocks[:, i], blocks[:, j])
     estimate = effect_sizes.of_pairs(differences, question.alpha)
     n = len(differences)
     margin, equivalent = question.margin, None
@@ -49,8 +49,8 @@ def signed_rank(cell: Cell, question: Question, one: int, other: int) -> Pair:
         equivalent = max(rank_tests.signed_rank(above, "greater"), rank_tests.signed_rank(below, "less"))
     return Pair(
         point=cell.point,
-        first=cell.samples[one].group,
-        second=cell.samples[other].group,
+        first=cell.samples[i].group,
+        second=cell.samples[j].group,
         n_first=n,
         n_second=n,
         test=SIGNED,
@@ -64,10 +64,10 @@ def signed_rank(cell: Cell, question: Question, one: int, other: int) -> Pair:
     )
 
 
-def rank_sum(cell: Cell, question: Question, one: int, other: int, *, dunn: bool = False) -> Pair:
+def rank_sum(cell: Cell, question: Question, i: int, j: int, *, dunn: bool = False) -> Pair:
     """Compare two groups without pairs: by the test of Mann and Whitney, or by Dunn's, which uses the ranks of all groups."""
-    groups, size = _values(cell.samples if dunn else [cell.samples[one], cell.samples[other]])
-    places = (one, other) if dunn else (0, 1)
+    groups, size = _values(cell.samples if dunn else [cell.samples[i], cell.samples[j]])
+    places = (i, j) if dunn else (0, 1)
     before, after = groups[places[0]], groups[places[1]]
     estimate = effect_sizes.of_samples(before, after, question.alpha)
     margin, equivalent = question.margin, None
@@ -77,8 +77,8 @@ def rank_sum(cell: Cell, question: Question, one: int, other: int, *, dunn: bool
     n, m, total = len(before), len(after), sum(map(len, groups))
     return Pair(
         point=cell.point,
-        first=cell.samples[one].group,
-        second=cell.samples[other].group,
+        first=cell.samples[i].group,
+        second=cell.samples[j].group,
         n_first=n,
         n_second=m,
         test=DUNN if dunn else RANKS,
@@ -92,9 +92,9 @@ def rank_sum(cell: Cell, question: Question, one: int, other: int, *, dunn: bool
     )
 
 
-def rates_of_samples(cell: Cell, question: Question, one: int, other: int) -> Pair:
+def rates_of_samples(cell: Cell, question: Question, i: int, j: int) -> Pair:
     """Compare two rates without pairs: Newcombe's interval of their difference, and Fisher's exact test."""
-    first, second = cell.samples[one], cell.samples[other]
+    first, second = cell.samples[i], cell.samples[j]
     before, after = _successes(first), _successes(second)
     return _of_rates(
         (cell, question, first, second),
@@ -104,13 +104,13 @@ def rates_of_samples(cell: Cell, question: Question, one: int, other: int) -> Pa
     )
 
 
-def rates_of_pairs(cell: Cell, question: Question, one: int, other: int) -> Pair:
+def rates_of_pairs(cell: Cell, question: Question, i: int, j: int) -> Pair:
     """Compare two rates of pairs; with more groups, only seeds with a value in all of them count."""
-    blocks = pairing.blocks(cell.samples)[:, [one, other]] > 0
+    blocks = pairing.blocks(cell.samples)[:, [i, j]] > 0
     counts = [int((blocks == which).all(axis=1).sum()) for which in ((1, 1), (1, 0), (0, 1), (0, 0))]
     pairs = rates.Pairs(*counts)
     return _of_rates(
-        (cell, question, cell.samples[one], cell.samples[other]),
+        (cell, question, cell.samples[i], cell.samples[j]),
         (pairs.n, pairs.n),
         lambda z: rates.of_pairs(pairs, z),
         (MCNEMAR, rates.mcnemar(pairs), rank_tests.smallest_signed_rank(pairs.n)),
@@ -169,9 +169,9 @@ def _successes(sample: Sample) -> tuple[int, int]:
     return sum(run.value > 0 for run in sample.values), len(sample.values)
 
 
-def log_rank(cell: Cell, one: int, other: int) -> Pair:
+def log_rank(cell: Cell, i: int, j: int) -> Pair:
     """Compare the times of two groups of which some are censored."""
-    first, second = cell.samples[one], cell.samples[other]
+    first, second = cell.samples[i], cell.samples[j]
     medians = [rank_tests.median_time(sample.values) for sample in (first, second)]
     known = [median for median in medians if median is not None]
     statistic, p = rank_tests.log_rank(first.values, second.values)

@@ -32,21 +32,21 @@ def decide(cells: Sequence[Cell], wanted: Paired) -> Pairing:
             raise UsageError("the groups have no seeds in common, so runs cannot be paired; leave out paired = true (--paired)")
         few = "few" if common else "no"
         return Pairing(False, f"the groups have {few} seeds in common, so runs are not compared as pairs")
-    found = correlation(cells)
+    coefficient = correlation(cells)
     if wanted is True:
-        return Pairing(True, "runs with the same seed are pairs, as requested", found)
-    if found is None:
+        return Pairing(True, "runs with the same seed are pairs, as requested", coefficient)
+    if coefficient is None:
         return Pairing(True, "runs with the same seed are pairs (common random numbers); a correlation cannot be computed")
-    if found > HELPFUL:
-        return Pairing(True, "runs with the same seed are pairs (common random numbers)", found)
-    if found < -2 / math.sqrt(common):
+    if coefficient > HELPFUL:
+        return Pairing(True, "runs with the same seed are pairs (common random numbers)", coefficient)
+    if coefficient < -2 / math.sqrt(common):
         return Pairing(
             True,
             "runs with the same seed are pairs, because they depend on each other; their negative correlation makes "
             "differences harder to show",
-            found,
+            coefficient,
         )
-    return Pairing(False, "runs with the same seed are not correlated, so they are not compared as pairs", found)
+    return Pairing(False, "runs with the same seed are not correlated, so they are not compared as pairs", coefficient)
 
 
 def common_seeds(samples: Sequence[Sample]) -> list[int]:
@@ -58,13 +58,13 @@ def blocks(samples: Sequence[Sample]) -> Floats:
     """Return the values of runs with common seeds: a row for each seed, a column for each sample."""
     seeds = common_seeds(samples)
     values = [{run.seed: run.value for run in sample.values} for sample in samples]
-    return np.array([[one[seed] for one in values] for seed in seeds], dtype=float).reshape(len(seeds), len(samples))
+    return np.array([[by_seed[seed] for by_seed in values] for seed in seeds], dtype=float).reshape(len(seeds), len(samples))
 
 
 def correlation(cells: Sequence[Cell]) -> float | None:
     """Return the mean rank correlation of all groups; None if no two groups vary."""
-    found = [one for cell in cells for one in _correlations(blocks(cell.samples))]
-    return float(np.mean(found)) if found else None
+    coefficients = [coefficient for cell in cells for coefficient in _correlations(blocks(cell.samples))]
+    return float(np.mean(coefficients)) if coefficients else None
 
 
 def _correlations(values: Floats) -> Iterator[float]:

@@ -58,9 +58,9 @@ def rank_sum(first: Floats, second: Floats, side: Side = "two-sided") -> float:
     return _tail(rank_distributions.of_choices(ranks, len(second)), int(ranks[len(first) :].sum()), side)
 
 
-def _tail(sums: Floats, found: int, side: Side) -> float:
-    """Return the probability of the found sum and of all that are more extreme."""
-    less, greater = float(sums[: found + 1].sum()), float(sums[found:].sum())
+def _tail(sums: Floats, observed: int, side: Side) -> float:
+    """Return the probability of the observed sum and of all that are more extreme."""
+    less, greater = float(sums[: observed + 1].sum()), float(sums[observed:].sum())
     return min(1.0, {"less": less, "greater": greater, "two-sided": 2 * min(less, greater)}[side])
 
 
@@ -80,8 +80,8 @@ def friedman(blocks: Floats) -> tuple[float, float]:
 
     if np.all(blocks == blocks[:, :1]):
         return 0.0, 1.0
-    found = stats.friedmanchisquare(*blocks.T)
-    return float(found.statistic), float(found.pvalue)
+    result = stats.friedmanchisquare(*blocks.T)
+    return float(result.statistic), float(result.pvalue)
 
 
 def kruskal(groups: Sequence[Floats]) -> tuple[float, float]:
@@ -90,8 +90,8 @@ def kruskal(groups: Sequence[Floats]) -> tuple[float, float]:
 
     if np.ptp(np.concatenate(groups)) == 0:
         return 0.0, 1.0
-    found = stats.kruskal(*groups)
-    return float(found.statistic), float(found.pvalue)
+    result = stats.kruskal(*groups)
+    return float(result.statistic), float(result.pvalue)
 
 
 def mean_ranks(groups: Sequence[Floats]) -> list[float]:
@@ -106,7 +106,7 @@ def mean_ranks_in_blocks(blocks: Floats) -> list[float]:
     return means
 
 
-def dunn(groups: Sequence[Floats], one: int, other: int) -> float:
+def dunn(groups: Sequence[Floats], i: int, j: int) -> float:
     """Return the p value of Dunn's test of two of the groups; it is not corrected for other tests."""
     from scipy import stats
 
@@ -117,8 +117,8 @@ def dunn(groups: Sequence[Floats], one: int, other: int) -> float:
     if variance <= 0:
         return 1.0
     means = mean_ranks(groups)
-    error = math.sqrt(variance * (1 / len(groups[one]) + 1 / len(groups[other])))
-    return float(2 * stats.norm.sf(abs(means[one] - means[other]) / error))
+    error = math.sqrt(variance * (1 / len(groups[i]) + 1 / len(groups[j])))
+    return float(2 * stats.norm.sf(abs(means[i] - means[j]) / error))
 
 
 @cache
@@ -139,8 +139,8 @@ def log_rank(first: Sequence[RunValue], second: Sequence[RunValue]) -> tuple[flo
     if not any(run.reached for run in (*first, *second)):
         return 0.0, 1.0
     with np.errstate(invalid="ignore", divide="ignore"):  # no variance: at each time all runs that are left ended
-        found = stats.logrank(_censored(first), _censored(second))
-    return (float(found.statistic), float(found.pvalue)) if np.isfinite(found.statistic) else (0.0, 1.0)
+        result = stats.logrank(_censored(first), _censored(second))
+    return (float(result.statistic), float(result.pvalue)) if np.isfinite(result.statistic) else (0.0, 1.0)
 
 
 def median_time(runs: Sequence[RunValue]) -> float | None:
@@ -150,11 +150,11 @@ def median_time(runs: Sequence[RunValue]) -> float | None:
 
 def holm(p: Sequence[float]) -> list[float]:
     """Return p values that are corrected for the number of tests, in the order of `p`."""
-    order = sorted(range(len(p)), key=lambda place: p[place])
+    order = sorted(range(len(p)), key=lambda index: p[index])
     adjusted, worst = [1.0] * len(p), 0.0
-    for rank, place in enumerate(order):
-        worst = max(worst, min(1.0, p[place] * (len(p) - rank)))
-        adjusted[place] = worst
+    for rank, index in enumerate(order):
+        worst = max(worst, min(1.0, p[index] * (len(p) - rank)))
+        adjusted[index] = worst
     return adjusted
 
 

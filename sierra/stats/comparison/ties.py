@@ -50,12 +50,12 @@ def spread(groups: Sequence[Floats], errors: float = 0.0) -> float:
 
     It is the median distance from the median of a group, or from that of all groups, whichever is smaller.
     """
-    found = []
+    medians = []
     for parts in (groups, [np.concatenate(groups)]):
         distances = np.concatenate([np.abs(part - np.median(part)) for part in parts if len(part)])
-        if (some := distances[distances > errors]).size:
-            found.append(float(np.median(some)))
-    return min(found, default=0.0)
+        if (above := distances[distances > errors]).size:
+            medians.append(float(np.median(above)))
+    return min(medians, default=0.0)
 
 
 def rounded(values: Floats, size: float) -> Floats:
@@ -78,4 +78,4 @@ def noise(values: Floats) -> float:
 def minus(values: Floats, others: Floats) -> Floats:
     """Return differences, as those of the shortest decimals that stand for the floats."""
     pairs = zip(values.tolist(), others.tolist(), strict=True)
-    return np.array([float(Decimal(repr(one)) - Decimal(repr(other))) for one, other in pairs], dtype=float)
+    return np.array([float(Decimal(repr(value)) - Decimal(repr(other))) for value, other in pairs], dtype=float)

@@ -89,7 +89,7 @@ def _opening(result: Analysis, subject: str) -> str:
 def _findings(result: Analysis) -> Iterator[str]:
     yield _pairing(result)
     yield from map(_effect, result.effects)
-    yield from (_omnibus(one, result) for one in result.omnibus[:SENTENCES])
+    yield from (_omnibus(test, result) for test in result.omnibus[:SENTENCES])
     if len(result.omnibus) > SENTENCES:
         more = len(result.omnibus) - SENTENCES
         yield f"The other {counted(more, 'omnibus test')} {verb(more, 'is', 'are')} in the table."
@@ -120,33 +120,33 @@ def _pairing(result: Analysis) -> str:
 
 def _effect(effect: Effect) -> str:
     kind = "interaction" if "×" in effect.name else "main effect"
-    found = f"F({effect.df}, {effect.df_error}) = {number(effect.f)}, {p_value(effect.p_adjusted)}"
-    return f"The {kind} of {effect.name}: {found}, partial η² = {effect.eta:.2f}."
+    details = f"F({effect.df}, {effect.df_error}) = {number(effect.f)}, {p_value(effect.p_adjusted)}"
+    return f"The {kind} of {effect.name}: {details}, partial η² = {effect.eta:.2f}."
 
 
-def _omnibus(one: Omnibus, result: Analysis) -> str:
-    shown = one.p_adjusted <= result.question.alpha
+def _omnibus(test: Omnibus, result: Analysis) -> str:
+    shown = test.p_adjusted <= result.question.alpha
     differ = "at least one group differs" if shown else "no difference among all groups was shown"
     critical = ""
-    if one.critical_difference is not None:
-        critical = f"; critical difference of mean ranks {number(one.critical_difference)}"
-    statistic = "" if one.statistic is None else f"χ²({one.df}) = {number(one.statistic)}, "
-    found = f"{statistic}n = {one.n}, {p_value(one.p_adjusted)}"
-    return _sentence(f"{where(one.point)}{differ} ({one.test}, {found}{critical})")
+    if test.critical_difference is not None:
+        critical = f"; critical difference of mean ranks {number(test.critical_difference)}"
+    statistic = "" if test.statistic is None else f"χ²({test.df}) = {number(test.statistic)}, "
+    details = f"{statistic}n = {test.n}, {p_value(test.p_adjusted)}"
+    return _sentence(f"{where(test.point)}{differ} ({test.test}, {details}{critical})")
 
 
 def _pair(pair: Pair, result: Analysis) -> str:
     alpha = result.question.alpha
     pairs = runs_of(pair, paired=result.pairing.paired)
     size = "" if pair.a12 is None else f", A12 = {pair.a12:.2f} ({magnitude(pair.a12)})"
-    found = f"{interval(pair, alpha)}; {pair.test}, {pairs}, {p_value(pair.p_adjusted)}{size}"
+    details = f"{interval(pair, alpha)}; {pair.test}, {pairs}, {p_value(pair.p_adjusted)}{size}"
     if pair.never_first + pair.never_second:
-        found += f"; not reached by {pair.never_first} runs of {pair.first} and {pair.never_second} of {pair.second}"
+        details += f"; not reached by {pair.never_first} runs of {pair.first} and {pair.never_second} of {pair.second}"
     if pair.p_equivalent_adjusted is not None and result.question.margin is not None:
-        found += f"; TOST with margin {number(result.question.margin)}: {p_value(pair.p_equivalent_adjusted)}"
+        details += f"; TOST with margin {number(result.question.margin)}: {p_value(pair.p_equivalent_adjusted)}"
     if pair.verdict in (Verdict.open, Verdict.too_few) and not covers_zero(pair) and len(result.pairs) > 1:
-        found += f"; the interval is of this pair alone, not corrected for {len(result.pairs)} pairs"
-    text = f"{where(pair.point)}{_conclusion(pair, result)} ({found})"
+        details += f"; the interval is of this pair alone, not corrected for {len(result.pairs)} pairs"
+    text = f"{where(pair.point)}{_conclusion(pair, result)} ({details})"
     return f"{text}." if text.startswith(pair.second) else _sentence(text)
 
 

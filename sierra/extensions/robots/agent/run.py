@@ -137,7 +137,7 @@ class Run:
         self.stops = 0
         """The number of executions after the last process was gone."""
         self.give_up: float | None = None
-        """When processes that were killed are not waited for any more."""
+        """The time after which processes that were killed are not waited for."""
         self.immortal = False
         """True if a process of the run cannot be ended."""
         self.armed: Record | None = {"event": "armed", "attempt": self.attempt, "id": order.get("id")}

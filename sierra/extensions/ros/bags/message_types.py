@@ -196,7 +196,7 @@ class MessageTypes:
             name = _full_name(channel.type)
             with damage(f"the definition of the type {channel.type!r}"):
                 store = self._store(channel, name)
-                cure = f"; {OWN}" if store is self._others else ""
+                cure = f"; {OWN}" if store is self._types_outside_bag else ""
                 self._known[key] = MessageType(name, store, ros1=channel.ros1, cure=cure)
                 _check_digest(channel, name, store)
         return self._known[key]
@@ -206,13 +206,13 @@ class MessageTypes:
 
         definition = channel.definition
         blank = definition is not None and not definition.strip() and not channel.ros1
-        if definition is not None and not (blank and name in self._others.fielddefs):
+        if definition is not None and not (blank and name in self._types_outside_bag.fielddefs):
             store = get_typestore(Stores.EMPTY)
             store.register(_parsed(definition, channel.language, name))
             return store
-        if name not in self._others.fielddefs:
+        if name not in self._types_outside_bag.fielddefs:
             raise UnreadableError(self._lacking(channel.type))
-        return self._others
+        return self._types_outside_bag
 
     def _lacking(self, name: str) -> str:
         given = [*(["messages"] if self._messages else []), *([f"ROS 2 {self._ros}"] if self._ros else [])]
@@ -222,7 +222,7 @@ class MessageTypes:
         return f"neither the bag nor {' nor '.join(given)} has the definition of the type {name!r}; {OWN}"
 
     @cached_property
-    def _others(self) -> Typestore:
+    def _types_outside_bag(self) -> Typestore:
         """The types whose definitions need not be in the bag."""
         return _known_types(self._ros, tuple(self._messages.items()))
 

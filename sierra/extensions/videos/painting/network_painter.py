@@ -37,7 +37,7 @@ class Look:
     places: Places | None
     """The places of a layout; None if each state has positions."""
     limits: tuple[tuple[float, float], tuple[float, float]]
-    """Of x and of y."""
+    """The limits of x and of y."""
     labels: tuple[str, str] | None
     """The labels of the axes; None without axes."""
     directed: bool
