@@ -7,7 +7,7 @@ from collections.abc import Container, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Unpack
+from typing import TYPE_CHECKING, Literal
 
 from sierra.api.noun import Noun, observer_for
 from sierra.errors import Missing, UsageError
@@ -15,7 +15,6 @@ from sierra.model import Measure
 from sierra.store.store import Store
 
 if TYPE_CHECKING:
-    from sierra.api.noun import Settings
     from sierra.api.project import Project
     from sierra.deliverables.power import RunsForPower
     from sierra.deliverables.sample_size import RunsNeeded
@@ -40,9 +39,11 @@ class Plans(Noun):
         *query: str,
         targets: Sequence[str],
         runs: int | None = None,
+        controller: str | None = None,
+        scenario: str | None = None,
+        sets: Sequence[tuple[str, str]] = (),
         engine: str | None = None,
         observer: Observer | None = None,
-        **settings: Unpack[Settings],
     ) -> list[Plan]:
         """Return the plans of a query for several targets: the arguments are those of `Project.plan`.
 
@@ -55,8 +56,8 @@ class Plans(Noun):
         from sierra.execution import targets as of_query
 
         of_query.check_names(targets)
-        plan = partial(self._project.plan, *query, runs=runs, engine=engine, observer=observer, **settings)
-        plans = [plan(target=name) for name in targets]
+        plan = partial(self._project.plan, *query, runs=runs, controller=controller, scenario=scenario, sets=sets)
+        plans = [plan(target=name, engine=engine, observer=observer) for name in targets]
         of_query.check_pairs(plans)
         return plans
 

@@ -1,16 +1,16 @@
 """Nouns: the parts of the Python interface, each with the methods of a project about one kind of thing.
 
-Also the former names of these methods, and the options that several of them share.
+Also the former names of these methods, and defaults that several of them share.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import wraps
 from importlib import import_module
 from types import FunctionType
-from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from sierra.errors import UsageError
 
@@ -19,28 +19,6 @@ if TYPE_CHECKING:
     from sierra.config.project_file import LoadedProject
     from sierra.execution.observer import Observer
     from sierra.store.store import Store
-
-
-class Settings(TypedDict, total=False):
-    """Settings of a query that all its experiments share; `sets` are pairs of XPath and value."""
-
-    controller: str | None
-    scenario: str | None
-    sets: Sequence[tuple[str, str]]
-
-
-class ExecutionOptions(TypedDict, total=False):
-    """Options of an execution: see `Project.run`."""
-
-    jobs: int | None
-    fail_fast: bool
-    figures: bool
-    observer: Observer | None
-    runner: str | None
-    detach: bool
-    progress: bool | None
-    only: str | None
-    retry: bool
 
 
 def observer_for(wanted: bool | None) -> Observer:
@@ -108,8 +86,11 @@ class Noun:
     if not TYPE_CHECKING:
 
         def __call__(self, *arguments: object, **named: object) -> object:
-            """Call the method of `Project` that had the name of this noun: see `sierra.api.noun`."""
-            return former_method(self._project, type(self).__name__.lower())(*arguments, **named)
+            """Call the method of `Project` that had the name of this noun, if there was one."""
+            name = type(self).__name__.lower()
+            if name not in FORMER:
+                raise TypeError(f"project.{name} is no method; dir(project.{name}) lists its methods")
+            return former_method(self._project, name)(*arguments, **named)
 
 
 class _ImportedNoun:

@@ -9,7 +9,7 @@ from contextlib import AbstractContextManager
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Unpack
+from typing import TYPE_CHECKING
 
 from sierra.api.noun import FORMER, former_method, noun, observer_for, slots, within_project
 from sierra.config import current_project, find_project
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from sierra.api.deliverables import Deliverables
     from sierra.api.execution import Jobs, Plans, Studies
     from sierra.api.images import Images
-    from sierra.api.noun import ExecutionOptions, Settings
     from sierra.api.packages import Packages
     from sierra.api.paper import Paper
     from sierra.api.records import Maintenance, Records, Sources
@@ -161,10 +160,12 @@ class Project:
         self,
         *query: str,
         runs: int | None = None,
+        controller: str | None = None,
+        scenario: str | None = None,
+        sets: Sequence[tuple[str, str]] = (),
         target: str | None = None,
         engine: str | None = None,
         observer: Observer | None = None,
-        **settings: Unpack[Settings],
     ) -> Plan:
         """Return the plan of a query: the batch that it would execute, with all ids.
 
@@ -184,7 +185,7 @@ class Project:
 
         [word] = query if len(query) == 1 else ("",)
         if PREFIX.fullmatch(word.lower()) and word not in self.config.queries and self.stored():
-            if runs or target or any(settings.values()):
+            if runs or controller or scenario or sets or target:
                 raise UsageError(
                     f"batch {word} is executed as it was recorded; "
                     "leave out --runs, --controller, --scenario, --set and --target"
@@ -192,7 +193,7 @@ class Project:
             from sierra.execution import plan_from_record
 
             return plan_from_record.plan(self.loaded, self.store, word, contained=engine)
-        request = query_request.request(query, runs=runs, target=target, **settings)
+        request = query_request.request(query, runs=runs, controller=controller, scenario=scenario, sets=sets, target=target)
         return self.plans.resolve(request, engine=engine, observer=observer)
 
     def run(
@@ -203,8 +204,16 @@ class Project:
         scenario: str | None = None,
         sets: Sequence[tuple[str, str]] = (),
         target: str | None = None,
+        jobs: int | None = None,
+        fail_fast: bool = False,
+        figures: bool = True,
+        observer: Observer | None = None,
         engine: str | None = None,
-        **execution: Unpack[ExecutionOptions],
+        runner: str | None = None,
+        detach: bool = False,
+        progress: bool | None = None,
+        only: str | None = None,
+        retry: bool = False,
     ) -> Summary:
         """Run a query: execute its missing runs, record them, and draw the figures.
 
@@ -221,7 +230,18 @@ class Project:
         (4, 0, 0)
         """
         plan = self.plan(*query, runs=runs, controller=controller, scenario=scenario, sets=sets, target=target, engine=engine)
-        return self.execute(plan, **execution)
+        return self.execute(
+            plan,
+            jobs=jobs,
+            fail_fast=fail_fast,
+            figures=figures,
+            observer=observer,
+            runner=runner,
+            detach=detach,
+            progress=progress,
+            only=only,
+            retry=retry,
+        )
 
     def execute(
         self,
@@ -283,13 +303,15 @@ class Project:
     def try_run(
         self,
         *query: str,
+        controller: str | None = None,
+        scenario: str | None = None,
+        sets: Sequence[tuple[str, str]] = (),
         target: str | None = None,
         seed: int | None = None,
         experiment: int = 0,
         engine: str | None = None,
         observer: Observer | None = None,
         show: Callable[[str, bytes], None] = lambda log, content: None,
-        **settings: Unpack[Settings],
     ) -> Trial:
         """Execute one run without recording it: the first one of an experiment of a query; return what it did.
 
@@ -307,7 +329,7 @@ class Project:
 
         observer = observer or Observer()
         words = query or (trial.UNCHANGED,)
-        request = query_request.request(words, runs=1, target=target, **settings)
+        request = query_request.request(words, runs=1, controller=controller, scenario=scenario, sets=sets, target=target)
         plan = self.plans.build(self.plans.resolve(request, engine=engine, observer=observer), observer=observer)
         run, files = trial.choose(plan, experiment, seed)
         return trial.attempt(plan, run, files, StorePaths(self.paths.store), observer, show)

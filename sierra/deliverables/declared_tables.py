@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 
-def columns(store: Store, declared: TableForPaper, batches: Mapping[str, str]) -> tuple[Columns, pa.Table, str]:
+def columns_of_rows(store: Store, declared: TableForPaper, batches: Mapping[str, str]) -> tuple[Columns, pa.Table, str]:
     """Return the columns of the rows of a statement, these rows, and the statement."""
     answer = joined(store, batches, declared.sql, "sql")
     every = {column: values_of(answer.table.column(column)) for column in answer.table.column_names}
@@ -148,7 +148,7 @@ def _comment(format: str, lines: Sequence[str]) -> str:
 def make(project: LoadedProject, store: Store, name: str, declared: TableForPaper, batches: Mapping[str, str]) -> ComputedTable:
     """Return a declared table of batches, by label. Raises SierraError if it cannot be made."""
     if declared.sql:
-        columns, data, sql = columns(store, declared, batches)
+        columns, data, sql = columns_of_rows(store, declared, batches)
     else:
         columns, data, sql = table_of_statistics.columns(project, store, declared, batches)
     if not data.num_rows:

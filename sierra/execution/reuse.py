@@ -147,7 +147,7 @@ def is_repeated(plan: Plan, store: Store) -> bool:
 
 
 def states(plan: Plan, records: Store | Snapshot | None, checked: FileCheck | None = None) -> dict[str, State]:
-    """Return the recorded state of each run of the batch, by run id. `found`: the comparison of files, if it is known."""
+    """Return the recorded state of each run of the batch, by run id. `checked`: the comparison of files, if known."""
     new = State()
     runs = dict.fromkeys((run.id for run in plan.batch.runs), new)
     if records is None:

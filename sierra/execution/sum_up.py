@@ -75,11 +75,6 @@ def of_session(
     )
 
 
-def _count_selected(batch: Batch, only: AbstractSet[str]) -> int:
-    """Return the number of experiments to which the session was limited."""
-    return sum(all(run.id in only for run in experiment.runs) for experiment in batch.experiments)
-
-
 def _counts(batch: Batch, bad: AbstractSet[str], tried: AbstractSet[str]) -> Iterator[Counted]:
     for experiment in batch.experiments:
         runs = {run.id for run in experiment.runs}

@@ -44,7 +44,7 @@ ORDER BY ALL
 """SQL: the places whose robots had another processor."""
 
 
-def check(runner: Runner, name: str, of: str, inputs: Iterable[Files], groups: Collection[str]) -> None:
+def check_fleet(runner: Runner, name: str, of: str, inputs: Iterable[Files], groups: Collection[str]) -> None:
     """Raise UsageError if a runner cannot execute runs on robots again, ConfigError if its fleet does not fit them.
 
     `of` is the id of what is replayed, and `groups` are the groups of places that the project declares.

@@ -118,7 +118,7 @@ class _Prepared:
     def _check_robots(self) -> None:
         config, id = self.project.config, self.record.found.id
         inputs = (files for _, files in find_record.inputs(self.record, self.record.runs, self.store))
-        compare_host.check(self.runner, self.options.runner, id, inputs, self.project.robot_groups)
+        compare_host.check_fleet(self.runner, self.options.runner, id, inputs, self.project.robot_groups)
         if not self.options.unattended:
             compare_host.check_attended(id, self.project)
         runs = [one.run for one in self.record.runs]

@@ -305,7 +305,7 @@ class BatchData:
         return captures.newest(self._snapshot, [run.judgement for run in runs if run.judgement is not None])
 
     def extracted(self, files: Sequence[Recorded]) -> list[Path]:
-        """Write recorded files to a temporary folder, which exists until this data are closed; return their paths in order.
+        """Write recorded files to a temporary folder, which exists until these data are closed; return their paths in order.
 
         A path has the ending of the file in lower case, and nothing else of its name. Raises Damaged, Missing.
         """

@@ -7,7 +7,8 @@
     python3 -I -S worker.pyz sierra.MODULE …    execute a program of an extension, by the name of its module
 
 They need only the standard library of Python 3.8 or newer. `worker.pyz` is a zip of the modules in this folder, and of those of
-an extension: see `sierra.util.worker_zip`. This file also executes those that lie beside it.
+an extension: see `sierra.util.worker_zip`. This file also executes those that lie beside it, but none of an extension. FOLDER
+is a path with `/`; other words are names of programs.
 """
 
 # No `from __future__ import annotations`: a Python before 3.7 would fail on it without a line that names the needed version.

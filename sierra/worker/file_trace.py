@@ -22,7 +22,7 @@ SETTLE_S = 10.0  # for the tracer to end after all processes of the run have end
 
 
 class Trace(NamedTuple):
-    """The files that a run used and changed: see the module's text. Paths are sorted."""
+    """The files that a run used and changed: see docs/explanation/observation.md. Paths are sorted."""
 
     way: str
     executed: tuple[str, ...] = ()

@@ -130,7 +130,11 @@ def counts_itself(path: str) -> bool:
     """Return whether Python executes a compiled module without a look at its source (see PEP 552), or without one."""
     if source_of(path) is None:
         return True
-    head = content_of(path)[:8]
+    try:
+        with open(path, "rb") as file:
+            head = file.read(8)
+    except OSError:
+        return False
     return len(head) == 8 and struct.unpack("<I", head[4:])[0] & 3 == 1
 
 

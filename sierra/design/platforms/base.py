@@ -79,9 +79,11 @@ class Platform(Protocol):
 
     def command(self) -> tuple[str, ...]:
         """Return the program and its arguments, with placeholders: `{input}`, `{output}`, `{seed}`, `{project}`, …"""
+        raise NotImplementedError
 
     def files(self, document: bytes) -> tuple[tuple[str, bytes], ...]:
         """Return the names and contents of the input files for one generated document; the first is `{input}`."""
+        raise NotImplementedError
 
     def environment(self) -> Mapping[str, str]:
         """Return variables that this simulator needs. They are part of a run's identity, so they contain no local paths."""

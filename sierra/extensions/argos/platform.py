@@ -495,9 +495,10 @@ def _check_length(document: Reader) -> None:
     if len(document.find(EXPERIMENT)) != 1:
         raise TemplateError(f"the template must have exactly one {EXPERIMENT}; ARGoS needs it")
     length = _at_most_one(document, LENGTH) or "0"
-    if _at_most_one(document, RATE) is None:
+    ticks = _at_most_one(document, RATE)
+    if ticks is None:
         raise TemplateError(f"{EXPERIMENT} has no ticks_per_second; add it, or set it in {TABLE}")
-    count = _number(length, LENGTH) * _number_at(document, RATE)
+    count = _number(length, LENGTH) * _number(ticks, RATE)
     if count < 1:
         raise TemplateError(
             f"{LENGTH} is {length!r}, less than one tick, so the run would never end; set length = 300 in {TABLE}"

@@ -6,7 +6,7 @@ import getpass
 import os
 
 from sierra.errors import Missing
-from sierra.extensions.robots.agent.records import PROGRAM
+from sierra.extensions.robots.agent.records import AGENT
 from sierra.extensions.robots.agent_link import LOCK, AgentLink
 from sierra.extensions.robots.agent_messages import Record
 from sierra.extensions.robots.fleet_table import FleetTable, RobotTable
@@ -28,7 +28,7 @@ def start(agent: AgentLink, robot: RobotTable, table: FleetTable, session: str, 
     if agent.link.run((python, "-c", OLD_PYTHON)).status != 0:
         raise Missing(f"{agent.name}: needs Python 3.8 or newer as {python!r}; set python in [runners.robots]")
     programs = push_programs(agent.link, root)
-    agent.start((python, "-I", "-S", "-B", f"{programs}/{program.NAME}", PROGRAM, root, LOCK))
+    agent.start((python, "-I", "-S", "-B", f"{programs}/{program.NAME}", AGENT, root, LOCK))
     text = f"{getpass.getuser()} on {os.uname().nodename} (session {session})"
     who = {"session": session, "robot": agent.name, "text": text, "store": store}
     declared = _declared(robot, table)

@@ -39,7 +39,7 @@ from sierra.worker.journal import End, OutputFile
 from sierra.worker.layout import LOGS, OBSERVED
 from sierra.worker.outputs import MOST_NAMED, describe, described, list_files
 
-MOST_BYTES = 64 << 20
+MOST_OBSERVED_BYTES = 64 << 20
 Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 Name = Annotated[str, AfterValidator(lambda name: remote_folder.text(remote_folder.raw(name)))]
 """The name of a file, which may have bytes that are no text."""
@@ -56,9 +56,9 @@ class _Observed(BaseModel):
     files: list[tuple[Name, Use, Sha256 | None, Annotated[int, Field(ge=0, lt=1 << 63)] | None]]
 
 
-def merge(parts: Iterable[Part], folder: Path) -> bool:
+def merge_observed(parts: Iterable[Part], folder: Path) -> bool:
     """Write the record of a run to its folder; return whether there is one. Call it before the files of parts are moved."""
-    records = {part.name: _read(part) for part in parts if part.started}
+    records = {part.name: _observed_by(part) for part in parts if part.started}
     known = {name: own for name, own in records.items() if own is not None}
     if not known:
         return False
@@ -69,25 +69,25 @@ def merge(parts: Iterable[Part], folder: Path) -> bool:
         "reason": "; ".join(reasons) or None,
         "notes": [f"{name}: {note}" for name, own in known.items() for note in own.notes],
         "distributions": list(dict.fromkeys(line for own in known.values() for line in own.distributions)),
-        "files": sorted({file for name, own in known.items() for file in _files(name, own)}, key=lambda file: file[:2]),
+        "files": sorted({file for name, own in known.items() for file in _named_files(name, own)}, key=lambda file: file[:2]),
         "written": [],
     }
     (folder / OBSERVED).write_text(json.dumps(record), encoding="ascii")
     return True
 
 
-def _read(part: Part) -> _Observed | None:
+def _observed_by(part: Part) -> _Observed | None:
     """Return the record of one robot; None if there is none, or if it is not what a worker writes."""
     if part.files is None or part.end is None or not part.end.get("observed"):
         return None
     path = part.files / OBSERVED
     with contextlib.suppress(OSError, ValueError, RecursionError):
-        if not path.is_symlink() and path.stat().st_size <= MOST_BYTES:
+        if not path.is_symlink() and path.stat().st_size <= MOST_OBSERVED_BYTES:
             return _Observed.model_validate(json.loads(read_regular(path)))  # pydantic's own JSON has no bytes that are no text
     return None
 
 
-def _files(robot: str, one: _Observed) -> Iterator[tuple[str, str, str | None, int | None]]:
+def _named_files(robot: str, one: _Observed) -> Iterator[tuple[str, str, str | None, int | None]]:
     for path, use, sha256, size in one.files:
         yield path if path.startswith(IN_PROJECT) else f"{{robot {robot}}}{path}", use, sha256, size
 
@@ -116,7 +116,7 @@ def result(trial: Trial, job: Job, folder: Path) -> End:
     started = [part for part in trial.parts if part.started]
     ends = [part.end for part in started if part.end is not None]
     error = failure(trial)
-    observed = merge(trial.parts, folder)
+    observed = merge_observed(trial.parts, folder)
     outputs, left_out = _moved(trial.parts, folder)
     known = [times for part in started if (times := times_of(part))]
     at = trial.at_ns / 1e9

@@ -8,7 +8,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from sierra.config.output_tables import Output
 from sierra.errors import NotFound, UsageError
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import numpy.typing as npt
     import pyarrow as pa
 
-    from sierra.extensions.videos.tracks import Floats, State, Track
+    from sierra.extensions.videos.tracks import Floats, State
 
 MOST_CELLS = 10_000
 """The largest number of rows, and of columns, that a matrix with `fill` has."""
@@ -138,14 +138,6 @@ class Rows:
     def at(self, place: int) -> str:
         """Return a time for messages, with its run."""
         return f"run {self.run.number} of experiment {self.run.experiment} at {self.source.time} {self._raw[place]:g}"
-
-
-class VideoContent(Protocol):
-    """The kind of states that a video shows, and the tracks of its runs."""
-
-    tracks: Sequence[Track]
-    columns: tuple[str, ...]
-    rows: Sequence[Rows]
 
 
 class Matrices:

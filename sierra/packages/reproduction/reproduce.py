@@ -61,7 +61,7 @@ REMOVED = {
 """Keys that are removed, with the reason."""
 
 
-def load(root: Path) -> tuple[LoadedProject, tuple[str, ...]]:
+def load_confined(root: Path) -> tuple[LoadedProject, tuple[str, ...]]:
     """Return the project in `root` without these keys, and a line for each removed key. Raises ConfigError."""
     file = next((root / name for name in (CONFIG, PYPROJECT) if (root / name).is_file()), root / CONFIG)
     whole = settings(file) or {}
@@ -147,7 +147,7 @@ def reproduce(
         workspace.copy_verified(archive, folder)
         observer.notice(f"verified: package {short(archive.id)}, copied to {folder / workspace.COPY}")
         described = manifest.read(read_regular(folder / workspace.COPY / PACKAGE))
-        project, notes = load(folder / workspace.COPY / PROJECT)
+        project, notes = load_confined(folder / workspace.COPY / PROJECT)
         if not verifier.is_ours(archive.hashes.get(PROGRAM)):
             notes = (*notes, received.OTHER)
         for note in notes:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from sierra.extensions.robots.agent.records import PROGRAM
+from sierra.extensions.robots.agent import records
 from tests import projects
 from tests.support import robot_project
 from tests.support.robot_fleet import Fleet
@@ -27,7 +27,7 @@ FOR_EVER = 6000
 """Ticks of a program that does not end by itself."""
 LONGEST_S = 120.0
 """Limit on the seconds that a driver takes to end."""
-AGENT = f"^python3 .*worker.pyz {PROGRAM}"
+AGENT = f"^python3 .*worker.pyz {records.AGENT}"
 SETTLED_S = 1.0
 """Seconds in which no robot moves again."""
 DEAF = "signal.signal(signal.SIGTERM, signal.SIG_IGN)\n"

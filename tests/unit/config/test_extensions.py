@@ -53,7 +53,7 @@ def test_a_package_whose_runs_an_absent_extension_executes_can_only_be_read(none
 
 def test_a_package_is_read_without_the_extension_that_executes_its_runs(none: None, tmp_path: Path) -> None:
     (tmp_path / "sierra.toml").write_text('command = "sim"\n[trials]\nsupervised = true\n')
-    project, notes = reproduce.load(tmp_path)
+    project, notes = reproduce.load_confined(tmp_path)
     assert project.lacking
     assert project.lacking.endswith("install sierra-trials")
     assert [note.split()[1] for note in notes] == ["trials"]

@@ -13,8 +13,8 @@ from pathlib import Path
 from sierra.util.worker_zip import packed
 from sierra.worker.program import HERE
 
-TRACER = {"file_trace", "observers", "executables", "trace_log", "trace_lines", "traced_processes", "changed_names", "channels"}
-TRACER |= {"file_contents", "file_names", "python_files", "observed_record"}
+TRACER = {"file_trace", "observers", "trace_log", "traced_processes", "changed_names", "channels", "file_names", "python_files"}
+TRACER |= {"observed_record"}
 
 
 def test_its_bytes_depend_only_on_the_sources() -> None:

@@ -88,13 +88,13 @@ import os, sys, zipimport
 programs = {"__name__": "programs", "__file__": sys.argv[1] + "/__main__.py"}
 exec(zipimport.zipimporter(sys.argv[1]).get_code("__main__"), programs)
 programs["add_package"]()
-from sierra.worker import file_contents, file_names, observers, trace_log
+from sierra.worker import file_names, observed_record, observers, trace_log
 log = trace_log.Log(b"/w")
 log.read(sys.stdin.buffer)
 trace = log.trace("strace")
 assert trace.complete, trace.reason
 names = file_names.Names({"project": "/w"})
-print([names.name(path) for path in names.inputs(trace).found], len(file_contents.contents(trace, 10**20).files) > 1)
+print([names.name(path) for path in names.inputs(trace).found], len(observed_record.contents(trace, 10**20).files) > 1)
 print(observers.usable()[0].name)
 """
     command = [str(oldest), "-I", "-S", "-c", text, str(tmp_path / "worker.pyz")]

@@ -8,7 +8,7 @@ from typing import Any, Dict
 
 Record = Dict[str, Any]
 
-PROGRAM = "sierra.extensions.robots.agent.robot_agent"  # the agent, as the first argument of `worker.pyz`
+AGENT = "sierra.extensions.robots.agent.robot_agent"  # the agent, as the first argument of `worker.pyz`
 
 
 class Refused(Exception):

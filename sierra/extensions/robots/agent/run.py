@@ -22,7 +22,7 @@ from sierra.extensions.robots.agent.processes import (
     kill_all,
     output_of,
 )
-from sierra.extensions.robots.agent.records import PROGRAM, Record, write_whole
+from sierra.extensions.robots.agent.records import AGENT, Record, write_whole
 from sierra.extensions.robots.agent.standstill import Standstill
 from sierra.worker import program
 from sierra.worker.containers import end_container
@@ -47,7 +47,7 @@ class WorkerProcess:
     def __init__(self, environment: Mapping[str, str]) -> None:
         """Start it; it waits for the folder of a run (see `become_worker`). Raises OSError."""
         self.process = subprocess.Popen(
-            [sys.executable, "-I", "-S", "-B", program.PROGRAM, PROGRAM, WORKER],
+            [sys.executable, "-I", "-S", "-B", program.PROGRAM, AGENT, WORKER],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,

@@ -21,7 +21,7 @@ import pytest
 
 from sierra.containers import held_start
 from sierra.extensions.robots import agent as agent_programs
-from sierra.extensions.robots.agent.records import PROGRAM
+from sierra.extensions.robots.agent.records import AGENT
 from sierra.util import worker_zip
 from sierra.worker import on_host
 from sierra.worker.processes import birth, marked, stat_of
@@ -45,7 +45,7 @@ class Driver:
     """The driver of one agent."""
 
     def __init__(self, program: Path, folder: Path, lock: str) -> None:
-        argv = [sys.executable, "-I", "-S", str(program), PROGRAM, str(folder), lock]
+        argv = [sys.executable, "-I", "-S", str(program), AGENT, str(folder), lock]
         self.process = subprocess.Popen(argv, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0)
         self.folder = folder
         folder.mkdir(exist_ok=True)
