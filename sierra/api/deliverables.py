@@ -104,11 +104,15 @@ class Deliverables(Noun):
     def model_errors(self, prefix: str | None = None, name: str | None = None) -> ModelErrors:
         """Return how far `[models.NAME]` are from the data of a batch: all, or the one called `name`.
 
+        `prefix` is that of the batch; None: the batch requested last. Commands of models are executed.
+
         `table` is an Arrow table with a row for each model and experiment: the values of the variables, the number `n` of runs,
         the number of `compared` points (times, for a model over time), the means of `data` and `predicted` over them, `bias`
-        (mean of predicted − data), `rmse`, the `largest` deviation and the time `at` which it is, and the number of
-        `intervals` of which the model is `inside`. Values have the unit of the column. `failed` has models without a
-        prediction. Commands of models are executed. Raises NotFound, or SierraError if the model called `name` fails.
+        (mean of predicted − data), `rmse`, the `largest` deviation and the time `at` which it is. `intervals` is the number of
+        compared points whose mean has a confidence interval, and `inside` the number of these intervals that contain the
+        predicted value. Values have the unit of the column. `failed` has models without a prediction.
+
+        Raises NotFound, or SierraError if the model called `name` fails.
 
         >>> project.deliverables.model_errors(summary.batch)
         Traceback (most recent call last):

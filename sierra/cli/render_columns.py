@@ -30,7 +30,7 @@ def column_lines(agreements: Sequence[Agreement]) -> Iterator[str]:
         yield f"column {name!r}{about} differs {where}{_largest(runs)}{within}"
     compared = [each for each in agreements if each.columns]
     if compared and not any(each.form for each in agreements):
-        others = max(each.same + len(each.columns) for each in compared) - len(columns)
+        others = max(each.same_columns + len(each.columns) for each in compared) - len(columns)
         yield (
             f"all {others} other columns are the same"
             if others > 1

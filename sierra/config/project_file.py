@@ -497,12 +497,11 @@ class LoadedProject:
 
     @property
     def robot_groups(self) -> tuple[str, ...]:
-        """Return the groups of places of robots that are declared, for all targets."""
-        declared = [one.robots.groups for one in (self.config, self.declared) if one and one.robots]
-        own = (
-            targets.inner_table(one, "robots", "groups") for one in (self.declared.targets.values() if self.declared else ())
-        )
-        return tuple(dict.fromkeys(name for groups in (*declared, *own) for name in groups))
+        """Return the names in `[robots.groups]`, without duplicates: of the project and of all of its targets."""
+        of_project = [config.robots.groups for config in (self.config, self.declared) if config and config.robots]
+        tables_of_targets = self.declared.targets.values() if self.declared else ()
+        of_targets = (targets.inner_table(table, "robots", "groups") for table in tables_of_targets)
+        return tuple(dict.fromkeys(name for groups in (*of_project, *of_targets) for name in groups))
 
     def for_target(self, name: str | None) -> LoadedProject:
         """Return the project for another target; with None, the project itself. Raises UsageError for an unknown name."""

@@ -173,10 +173,13 @@ def statistics(
         )
 
 
-def of_tables(
+def output_and_columns(
     project: LoadedProject, store: Store, batch: str, output: str, columns: tuple[str, ...]
 ) -> tuple[str, tuple[str, ...]]:
-    """Return the name of an output and its columns; without names, the only ones. Raises NotFound, UsageError."""
+    """Return the name of an output or derived table of a batch, as it is spelled there, and the columns.
+
+    An empty `output` is the only one with the columns; without `columns`, it must have only one. Raises NotFound, UsageError.
+    """
     with BatchData(store, batch) as frame:
         gallery = Gallery(project, store, frame, only={output} if output else frame.names)
         table = gallery.output(Figure(table=output, column=columns))

@@ -10,7 +10,7 @@ from sierra.config.project_file import LoadedProject
 from sierra.deliverables import overlay, paper_tables
 from sierra.deliverables.gallery import Gallery
 from sierra.deliverables.paper_tables import Cell, Estimates, Heads
-from sierra.deliverables.run_statistics import of_tables, statistics
+from sierra.deliverables.run_statistics import output_and_columns, statistics
 from sierra.deliverables.table_columns import Columns
 from sierra.design.query import condition
 from sierra.errors import UsageError
@@ -97,7 +97,7 @@ def _notes(by_label: Mapping[str, _Estimates]) -> dict[str, str]:
 
 
 def _estimates(project: LoadedProject, store: Store, declared: TableForPaper, batch: str) -> _Estimates:
-    output, columns = of_tables(project, store, batch, declared.table, declared.columns)
+    output, columns = output_and_columns(project, store, batch, declared.table, declared.columns)
     measure = declared.measure or "auto"
 
     def rows(gallery: Gallery) -> frozenset[int]:

@@ -310,8 +310,8 @@ class _Output(Observer):
                         self._shown[status.st_ino] = file.tell()
 
 
-WRITTEN = "SELECT DISTINCT path FROM files_written WHERE execution = $e AND use = 'written' ORDER BY path"
-OF_PROJECT = """
+FILES_ELSEWHERE = "SELECT DISTINCT path FROM files_written WHERE execution = $e AND use = 'written' ORDER BY path"
+PROJECT_FILES_USED = """
 SELECT DISTINCT f.path FROM observations o JOIN files_read f USING (files)
 WHERE o.execution = $e AND f.use IN ('executed', 'read') AND starts_with(f.path, '{project}/') ORDER BY f.path
 """
@@ -325,8 +325,11 @@ def _read(store: Store, execution: str, values: Mapping[str, Value], seed: int, 
     row = shown.row
     used = None
     if shown.observation is not None:
-        own = (path.removeprefix(IN_PROJECT) for path in store.values(str, OF_PROJECT, e=execution))
-        used = Used(shown.observation.used, tuple(own), shown.observation.row.reason)
+        of_project = (path.removeprefix(IN_PROJECT) for path in store.values(str, PROJECT_FILES_USED, e=execution))
+        used = Used(shown.observation.used, tuple(of_project), shown.observation.row.reason)
+    files = [_file(store, file, folder) for file in shown.artifacts if file.kind != "log"]
+    tables_first = sorted(files, key=lambda file: file.table is None)
+    log_sizes = {name: file.size for name in LOGS for file in shown.artifacts if (file.kind, file.path) == ("log", name)}
     return Trial(
         values=values,
         run=row.run,
@@ -337,14 +340,9 @@ def _read(store: Store, execution: str, values: Mapping[str, Value], seed: int, 
         signal=row.signal,
         wall_s=row.wall_s,
         folder=folder,
-        files=tuple(
-            sorted(
-                (_file(store, file, folder) for file in shown.artifacts if file.kind != "log"),
-                key=lambda file: file.table is None,
-            )
-        ),
-        logs={name: file.size for name in LOGS for file in shown.artifacts if (file.kind, file.path) == ("log", name)},
-        elsewhere=tuple(store.values(str, WRITTEN, e=execution)),
+        files=tuple(tables_first),
+        logs=log_sizes,
+        elsewhere=tuple(store.values(str, FILES_ELSEWHERE, e=execution)),
         used=used,
     )
 

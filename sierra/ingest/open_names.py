@@ -144,12 +144,17 @@ def _pattern(text: _Parts, numbers: _Parts, differ: list[bool], path: str) -> st
 
 
 def _of_letters(names: list[str]) -> str | None:
-    """Return the pattern of names that begin and end alike, with the same number of other letters between."""
+    """Return the pattern of names that begin and end alike, with the same number of other letters between; None if they do not.
+
+    `names` has one of each run; they are not all the same. Letters and digits at the end of their common beginning are left
+    open too, because letters at random may be the same by chance.
+    """
     suffixes = {PurePosixPath(name).suffix for name in names}
-    alike = takewhile(lambda letters: len(set(letters)) == 1, zip(*names, strict=False))
-    begin = re.sub(r"[0-9A-Za-z]*$", "", "".join(letters[0] for letters in alike))
-    if len(suffixes) > 1 or len(set(map(len, names))) > 1 or not begin:
+    common = takewhile(lambda characters: len(set(characters)) == 1, zip(*names, strict=False))
+    begin = re.sub(r"[0-9A-Za-z]*$", "", "".join(characters[0] for characters in common))
+    has_one_length = len(set(map(len, names))) == 1
+    if len(suffixes) > 1 or not has_one_length or not begin:
         return None
     [suffix] = suffixes
-    rest = [name.removeprefix(begin).removesuffix(suffix) for name in names]
-    return f"{glob.escape(begin)}*{glob.escape(suffix)}" if min(map(len, rest)) >= FEWEST else None
+    random_letters = [name.removeprefix(begin).removesuffix(suffix) for name in names]
+    return f"{glob.escape(begin)}*{glob.escape(suffix)}" if min(map(len, random_letters)) >= FEWEST else None

@@ -133,7 +133,7 @@ class Recorder:
         `doubt`: a function that is called before each write. It returns the reason why pending executions cannot be
         successful, or None.
         """
-        self._folder = kept
+        self._kept = kept
         self._doubt = doubt
         self._store = store
         self._session = session
@@ -187,7 +187,7 @@ class Recorder:
         if status is Status.INTERRUPTED:
             self._parts.pop(result.execution, None)
             self.lost = min(self.lost, result.started)
-            self._put_away(result)
+            self._move_or_remove(result)
         else:
             trial = self.context.trial
             if trial is not None and trial["execution"] == result.execution:
@@ -299,7 +299,7 @@ class Recorder:
             self._store.publish(writer)
             self._ruled += 1
             for judgement in judged:
-                self._put_away(judgement.result)
+                self._move_or_remove(judgement.result)
             self._pending = rest
             self._other_rows, self._copies = {}, []
             failed += [
@@ -325,12 +325,13 @@ class Recorder:
             self._copied, self._unlike = self._copied + 1, self._unlike + (not same)
             yield DuplicateRow(copy.execution, copy.run, copy.attempt or "", result, same)
 
-    def _put_away(self, result: Result) -> None:
+    def _move_or_remove(self, result: Result) -> None:
+        """Move the folder of an ended or interrupted run to where folders are kept; without such a place, remove it."""
         folder = Path(result.directory)
-        if self._folder is not None:
-            self._folder.mkdir(parents=True, exist_ok=True)
+        if self._kept is not None:
+            self._kept.mkdir(parents=True, exist_ok=True)
             with contextlib.suppress(FileNotFoundError):
-                shutil.move(folder, inside(self._folder, short(result.run)))
+                shutil.move(folder, inside(self._kept, short(result.run)))
         discard(folder, self._session)
 
     def find_astray(self) -> set[str]:

@@ -72,6 +72,7 @@ def _words(program: Program, table: ProgramsTable, root: Path) -> tuple[str, ...
 
 
 def _is_script(path: Path) -> bool:
+    """Return whether a file is a script. A file that cannot be read counts as one, so that it is not executed."""
     try:
         with open_regular(path) as file:
             return file.read(2) == b"#!"

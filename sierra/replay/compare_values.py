@@ -113,7 +113,7 @@ class Agreement:
     """The table; None for other files."""
     columns: tuple[DifferentColumn, ...] = ()
     """All columns that differ, except volatile ones."""
-    same: int = 0
+    same_columns: int = 0
     """Number of columns that do not differ."""
 
 
@@ -210,24 +210,24 @@ def _of_rows(recorded: pa.Table, found: pa.Table, rules: Rules, unlike: Sequence
     """Compare tables with the same columns; `unlike` are volatile columns that differ."""
     time = recorded.column(rules.time) if rules.time in recorded.column_names else None
     distances = [_Distance(name, recorded.column(name), found.column(name), time) for name in recorded.column_names]
-    parted = [one for one in distances if one.first is not None]
+    differing = [one for one in distances if one.first_row is not None]
     answer = _verdict(recorded.num_rows, found.num_rows, distances, rules, unlike)
-    columns = tuple(one.difference(rules.of(one.name)) for one in parted)
-    return replace(answer, columns=columns, same=len(distances) - len(parted))
+    columns = tuple(one.difference(rules.of(one.name)) for one in differing)
+    return replace(answer, columns=columns, same_columns=len(distances) - len(differing))
 
 
 def _verdict(was: int, now: int, distances: Sequence[_Distance], rules: Rules, unlike: Sequence[str]) -> Agreement:
     """Return the verdict on tables with these numbers of rows and the same columns."""
-    parted = [column for column in distances if column.first is not None]
+    differing = [column for column in distances if column.first_row is not None]
     if was != now:
-        return _other_length(was, now, parted)
-    if not parted:
+        return _other_length(was, now, differing)
+    if not differing:
         return Agreement(Verdict.EQUAL, _equal(distances, unlike))
-    beyond = [column for column in parted if not column.keeps_to(rules.of(column.name))]
+    beyond = [column for column in differing if not column.keeps_to(rules.of(column.name))]
     if not beyond:
-        far = max(parted, key=lambda column: column.rel)
+        far = max(differing, key=lambda column: column.rel)
         return far.agreement(Verdict.WITHIN, f"differences of at most {far.far()} in {far.called()}")
-    first = min(beyond, key=lambda column: column.first or 0)
+    first = min(beyond, key=lambda column: column.first_row or 0)
     return first.agreement(Verdict.DIFFERENT, _in_a_line(first, beyond))
 
 
@@ -242,22 +242,22 @@ def _equal(distances: Sequence[_Distance], unlike: Sequence[str]) -> str:
     return f"only volatile columns{every} differ: {named}{rest}"
 
 
-def _other_length(was: int, now: int, parted: Sequence[_Distance]) -> Agreement:
+def _other_length(was: int, now: int, differing: Sequence[_Distance]) -> Agreement:
     """Return the result for tables with different numbers of rows, with a comparison of the rows that both have."""
     why = f"{was} rows were recorded, {now} found"
-    first = min(parted, key=lambda column: column.first or 0, default=None)
+    first = min(differing, key=lambda column: column.first_row or 0, default=None)
     if first is None:
         return Agreement(Verdict.DIFFERENT, f"{why}; the first {min(was, now)} are the same" if min(was, now) else why)
-    return first.agreement(Verdict.DIFFERENT, f"{why}; {_in_a_line(first, parted)}")
+    return first.agreement(Verdict.DIFFERENT, f"{why}; {_in_a_line(first, differing)}")
 
 
-def _in_a_line(first: _Distance, parted: Sequence[_Distance]) -> str:
+def _in_a_line(first: _Distance, differing: Sequence[_Distance]) -> str:
     """Return a line with the first difference, the greatest distance in its column, and the columns and rows that differ."""
     parts = [first.where(), *([text] if (text := first.how_far()) else [])]
-    if len(parted) > 1:
-        ordered = [first, *(column for column in parted if column is not first)]
+    if len(differing) > 1:
+        ordered = [first, *(column for column in differing if column is not first)]
         named = few([f"{column.called()} in {column.rows()}" for column in ordered], NAMED)
-        parts.append(f"{len(parted)} columns differ: {named}")
+        parts.append(f"{len(differing)} columns differ: {named}")
     else:
         parts.append(f"in {first.rows()}")
     return "; ".join(parts)
@@ -333,7 +333,7 @@ class _Distance:
         self.fractions = self.numeric and "float" in self._kinds
         self._apart = _differ(self._recorded, self._found)
         places = np.flatnonzero(self._apart)
-        self.first: int | None = int(places[0]) if len(places) else None
+        self.first_row: int | None = int(places[0]) if len(places) else None
         self.growth: tuple[tuple[object, float], ...] = ()
         self.abs = self.rel = self.ulp = float("inf")
         if self.numeric:
@@ -353,7 +353,7 @@ class _Distance:
             relative, units = (np.where(np.isnan(distances), np.inf, distances) for distances in (relative, units))
         self._all = {"abs": apart, "rel": relative, "ulp": units}
         self.abs, self.rel, self.ulp = (float(values.max(initial=0.0)) for values in self._all.values())
-        if self.first is not None:
+        if self.first_row is not None:
             parts = np.array_split(np.arange(len(apart)), min(STEPS, len(apart)))
             self.growth = tuple((self._when(int(part[-1])), float(apart[part].max())) for part in parts)
 
@@ -382,8 +382,8 @@ class _Distance:
 
     def where(self) -> str:
         was, now = self._values()
-        at = "" if self._time is None else f" (at {self._when(self.first or 0)})"
-        return f"row {self.first}{at}: {self.called()} was {was} and is {now}"
+        at = "" if self._time is None else f" (at {self._when(self.first_row or 0)})"
+        return f"row {self.first_row}{at}: {self.called()} was {was} and is {now}"
 
     def called(self) -> str:
         """Return the column's name for a line."""
@@ -403,18 +403,18 @@ class _Distance:
     def agreement(self, verdict: Verdict, why: str) -> Agreement:
         was, now = self._values()
         if not self.numeric:
-            return Agreement(verdict, why, self.first, self.name, was, now)
-        return Agreement(verdict, why, self.first, self.name, was, now, self.abs, self.rel, self.ulp, self.growth)
+            return Agreement(verdict, why, self.first_row, self.name, was, now)
+        return Agreement(verdict, why, self.first_row, self.name, was, now, self.abs, self.rel, self.ulp, self.growth)
 
     def difference(self, tolerance: Tolerance) -> DifferentColumn:
         """Return the description of this column, which differs."""
-        clock = clock_of(self.name, self._recorded, self._found, self.first or 0)
+        clock = clock_of(self.name, self._recorded, self._found, self.first_row or 0)
         far, rel, ulp = (self.abs, self.rel, self.ulp) if self.numeric else (None, None, None)
         rows, fine = int(self._apart.sum()), self.keeps_to(tolerance)
         return DifferentColumn(self.name, rows, len(self._apart), far, rel, ulp, fine, clock)
 
     def _values(self) -> tuple[str, str]:
-        place = self.first or 0
+        place = self.first_row or 0
         was, now = (values_of(column.slice(place, 1))[0] for column in (self._recorded, self._found))
         return _value(was), _value(now)
 

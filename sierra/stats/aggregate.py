@@ -279,24 +279,27 @@ class ColumnStatistics:
         return self._run(text, statistics, rate=self.rate)
 
     def at_times(self, times: str | None, statistics: Wanted) -> tuple[pa.Table, str, list[str]]:
-        """Return statistics at the runs' `own` times or at common ones (`carry`, `linear`), and also notes about the times.
+        """Return a table with statistics over time, its SQL, and notes about the times.
 
-        The result is that of `by_time`. With None as `times`, the times are `own` if most runs share them, else `carry`.
+        `times`: the runs' `own` times, or common ones with the last value of each run (`carry`) or with values between
+        (`linear`). With None, the times are `own` if most runs share them, else `carry`.
+
         Common times are equally spaced, as many as the longest run has rows, at most `GRID`. If a common time differs from a
         run's own time by rounding only, the run's time replaces it. Raises UsageError for unknown `times`.
         """
         if times not in (*TIMES, None):
             raise UsageError(f"unknown times {times!r}; known are {', '.join(TIMES)}")
         if times in ("own", None):
-            table, text = self.by_time(statistics)
+            table, sql = self.by_time(statistics)
             runs = self.coverage.runs.values()
-            differ = max(runs) > 1 and self.coverage.rows / max(1, table.num_rows) < sum(runs) / len(runs) / 2
-            if times == "own" or not differ:
-                return table, text, ["times differ: each run has its own times"] if differ else _of_fewer_runs(table)
+            runs_at_a_time, runs_of_an_experiment = self.coverage.rows / max(1, table.num_rows), sum(runs) / len(runs)
+            times_differ = max(runs) > 1 and runs_at_a_time < runs_of_an_experiment / 2
+            if times == "own" or not times_differ:
+                return table, sql, ["times differ: each run has its own times"] if times_differ else _of_fewer_runs(table)
         grid = self._common_times()
-        table, text = self.resampled(grid, statistics, linear=times == "linear")
+        table, sql = self.resampled(grid, statistics, linear=times == "linear")
         how = "interpolated linearly" if times == "linear" else "last values carried forward"
-        return table, text, [f"{'times differ: ' if times is None else ''}{how} to {len(grid)} common times"]
+        return table, sql, [f"{'times differ: ' if times is None else ''}{how} to {len(grid)} common times"]
 
     def resampled(self, grid: Sequence[float], statistics: Wanted, *, linear: bool = False) -> Statistics:
         """Return the result of `by_time` at the times of `grid`, which need not be times of any run."""

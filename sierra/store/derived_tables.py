@@ -149,17 +149,23 @@ class DerivedTables:
         if names is not None and names <= TABLE_NAMES:
             return []
         try:
-            found = self._used(text)
+            found = self._used_with_empty_tables(text)
         except SqlError:
             return []
         return [name for name in found.tables if name not in TABLE_NAMES and name in self.definitions]
 
-    def _used(self, text: str) -> statement.Used:
-        """Return what a statement uses, after making empty tables of accepted ends that no run has written. Raises SqlError."""
+    def _used_with_empty_tables(self, text: str) -> statement.Used:
+        """Return what a statement uses. Add an empty table for each table of accepted ends in it that no run has written.
+
+        Raises SqlError.
+        """
         found = statement.used(self._connection(), text)
         for name in found.tables:
             output = self._outputs.get(name.removesuffix(ACCEPTED))
-            if output is not None and name not in {*self._outputs, *self.definitions}:
+            if output is None:
+                continue
+            is_defined = name in {*self._outputs, *self.definitions}
+            if not is_defined:
                 self.add(Definition(name, f"SELECT * FROM {identifier(output)} LIMIT 0", f"the table {name}", empty=True))
         return found
 
@@ -242,7 +248,7 @@ class DerivedTables:
         if problem := definition.problem or self._taken(definition):
             raise SqlError(f"{definition.origin}: {problem}")
         try:
-            used = self._used(definition.sql)
+            used = self._used_with_empty_tables(definition.sql)
             statement.check_repeatable(self._connection(), used)
         except SqlError as error:
             raise SqlError(f"{definition.origin}: {error}") from error

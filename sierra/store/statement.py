@@ -241,17 +241,17 @@ def _value_function(connection: DuckDBPyConnection, name: str) -> str | None:
     answer = _json(connection, "json_serialize_plan", f"SELECT {identifier(name)}")
     if answer.get("error"):
         return None
-    return next(_bound(answer.get("plans")), None)
+    return next(_functions_of_plan(answer.get("plans")), None)
 
 
-def _bound(node: Json) -> Iterator[str]:
+def _functions_of_plan(node: Json) -> Iterator[str]:
     """Yield the names of the functions in a plan."""
     if isinstance(node, list):
         for part in node:
-            yield from _bound(part)
+            yield from _functions_of_plan(part)
     elif isinstance(node, dict):
         name = node.get("qname")
         if isinstance(name, dict) and isinstance(path := name.get("path"), list) and path:
             yield str(path[-1]).lower()
         for part in node.values():
-            yield from _bound(part)
+            yield from _functions_of_plan(part)

@@ -165,7 +165,12 @@ def _rows(values: Values, experiments: int, runs: Callable[[int], int]) -> pa.Ta
 def check(
     kind: str, keys: RawTable | None = None, values: Values = numbers, axes: Sequence[Axis] = (Axis("size", (1, 2)),)
 ) -> None:
-    """Check all claims about the kind `kind`. `axes` are the variables of an ordinary batch; see the module for the others."""
+    """Check all claims about a kind of figures, by its name.
+
+    `keys` are those of `[figures.NAME]` beside `kind`; the default of `column` is the first one of `values`, which returns the
+    columns of one row from the number of its experiment, run and row. `axes` are the variables of an ordinary batch; see the
+    module for the others.
+    """
     trial = Trial(kind, keys or {}, values, tuple(axes))
     for claim in CLAIMS:
         claim(trial)

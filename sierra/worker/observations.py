@@ -90,20 +90,22 @@ class Observations:
             job["affordable"] = first["affordable"]
         return job
 
-    def compare(self, job: Job, trace: Trace) -> None:
+    def request_comparison(self, job: Job, trace: Trace) -> None:
         """Let the next run be observed if this one wrote and read the same files outside its folder, or used ports.
 
         For ports, two are observed, so that they overlap if runs do: a program that looks for a free port is recognised then.
-        It most likely is one of the same experiment, of which the first run is observed. Runs of the sample are not followed.
+        The next run most likely is one of the same experiment, of which the first run is observed. Nothing is requested for a
+        run that is itself such a comparison, or one of the sample.
         """
-        if "compares" in job or "budget" in job:
+        is_comparison, is_sampled = "compares" in job, "budget" in job
+        if is_comparison or is_sampled:
             return
         from sierra.worker.channels import is_doubtful
 
-        talks = is_doubtful(trace.channels)
-        if talks or trace.reread or trace.reread_new:
+        uses_ports = is_doubtful(trace.channels)
+        if uses_ports or trace.reread or trace.reread_new:
             with self.lock:
-                self.requests[ANY] = {**job, "again": talks}
+                self.requests[ANY] = {**job, "again": uses_ports}
 
     def request_another(self, job: Job) -> None:
         """Let another run be observed in place of one that has failed, or could not be observed; at most a few times.
@@ -166,7 +168,7 @@ class Observations:
             trace = with_channels(trace, own_ports(job, running.folder, services), theirs, job["environment"])
             names = Names({"work": self.folder, **job["observe"], "run": running.folder, **own_folders(running)})
             seen = names.inputs(trace._replace(reasons=(*trace.reasons, *self.unusable)))
-            self.compare(job, seen)
+            self.request_comparison(job, seen)
             with self.looking:
                 contents = self.contents(job, seen, names, running.observation.began)
                 if services:

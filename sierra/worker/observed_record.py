@@ -18,8 +18,8 @@ from sierra.worker.file_trace import REREAD, Trace, nothing
 from sierra.worker.files import entries_of
 from sierra.worker.python_files import DISTRIBUTIONS, PYTHON_CACHE, Environments, content_of, sha256_of
 
-LATER = "its times are in the future, so that a clock is or was wrong"
-LATER_NS = 24 * 3600 * 10**9
+IN_FUTURE = "its times are in the future, so that a clock is or was wrong"
+FUTURE_NS = 24 * 3600 * 10**9
 CHANGED = "it was changed after the run had opened it"
 
 
@@ -122,6 +122,10 @@ class Reader:
             self.unusable[path] = "it cannot be read: %s" % (getattr(error, "strerror", None) or error)
 
     def read(self, path: str) -> None:
+        """Add a file to `files` with its content, or to `unusable` with the reason; to both if only its times are wrong.
+
+        A device is added to neither. Raises OSError.
+        """
         status = os.stat(path)
         kind = stat.S_IFMT(status.st_mode)
         if kind in (stat.S_IFCHR, stat.S_IFBLK):
@@ -132,8 +136,8 @@ class Reader:
         if self._changed(status):
             self.unusable[path] = CHANGED
             return
-        if self._is_later(status):
-            self.unusable[path] = LATER  # and yet its content is recorded, for what depends on the bytes alone
+        if self._is_in_future(status):
+            self.unusable[path] = IN_FUTURE  # and yet its content is recorded, for what depends on the bytes alone
         sha256 = self._cache(path, status, lambda: sha256_of(path, self._environments, self._check_stop))
         if key_of(os.stat(path)) != key_of(status):
             self.unusable[path] = CHANGED
@@ -145,8 +149,8 @@ class Reader:
         if self._changed(before):
             self.unusable[path] = "it was changed after the run had listed it"
             return
-        if self._is_later(before):
-            self.unusable[path] = LATER
+        if self._is_in_future(before):
+            self.unusable[path] = IN_FUTURE
         paths = ((name, os.path.join(path, name)) for name in os.listdir(path) if name != PYTHON_CACHE)
         kept = [name for name, entry in paths if entry not in own and is_listed(entry)]
         kept.sort(key=os.fsencode)
@@ -161,18 +165,18 @@ class Reader:
         status = os.lstat(path)
         if os.path.realpath(path) != real or (stat.S_ISLNK(status.st_mode) and self._changed(status)):
             self.unusable[path] = "its link was changed after the run had followed it"
-        elif self._is_later(status):
-            self.unusable[path] = LATER
+        elif self._is_in_future(status):
+            self.unusable[path] = IN_FUTURE
 
     def _changed(self, status: os.stat_result) -> bool:
         """Return whether a file may have been changed in the run, by its times."""
-        if self._is_later(status):
+        if self._is_in_future(status):
             return False
         return status.st_ctime_ns >= self._began or self._began <= status.st_mtime_ns <= time.time_ns()
 
-    def _is_later(self, status: os.stat_result) -> bool:
-        """Return whether a file was changed by another clock: so long after now that no change in the run can be meant."""
-        return status.st_ctime_ns > time.time_ns() + LATER_NS
+    def _is_in_future(self, status: os.stat_result) -> bool:
+        """Return whether the ctime of a file is more than a day after now, so that a clock is wrong, and times tell nothing."""
+        return status.st_ctime_ns > time.time_ns() + FUTURE_NS
 
 
 def key_of(status: os.stat_result) -> tuple[int, ...]:

@@ -174,7 +174,7 @@ def make_root(root: str) -> None:
 
 
 def hashed(path: str) -> list[Any] | None:
-    """Return the SHA-256 of a file and its state; None if there is no such file."""
+    """Return the SHA-256 of a file, then the values of `state` without the path; None if it cannot be read or is not there."""
     try:
         with open(path, "rb") as file:
             digest = hashlib.sha256()

@@ -238,27 +238,27 @@ def read_plan(package: Path) -> tuple[list[Batch], list[str]]:
 
 
 def choose(batches: Sequence[Batch], most: int | None, seconds: float | None) -> tuple[int, float]:
-    """Choose the runs to execute; return their number, and how long they took before.
+    """Set `Batch.only` to the runs to execute, unless these are all; return their number, and how long they took before.
 
     `most`: at most so many of each experiment. `seconds`: for so long at most, but at least one run. All experiments then get
     their first run before any gets its second one.
     """
     ranked = []
-    for number, batch in enumerate(batches):
+    for place, batch in enumerate(batches):
         ranks: dict[int, int] = {}
-        for experiment, _, run, run_s in sorted((run.experiment, run.number, run.run, run.seconds) for run in batch.runs()):
+        for experiment, _, id, run_s in sorted((run.experiment, run.number, run.run, run.seconds) for run in batch.runs()):
             ranks[experiment] = rank = ranks.get(experiment, -1) + 1
-            ranked.append((rank, number, experiment, run, run_s))
+            ranked.append((rank, place, experiment, id, run_s))
     ranked.sort()
     chosen: list[set[str]] = [set() for _ in batches]
     count, total_s = 0, 0.0
-    for rank, number, _, run, run_s in ranked:
+    for rank, place, _, id, run_s in ranked:
         if (most is not None and rank >= most) or (seconds is not None and count and total_s + run_s > seconds):
             break
-        chosen[number].add(run)
+        chosen[place].add(id)
         count += 1
         total_s += run_s
     if count < len(ranked):
-        for batch, runs in zip(batches, chosen):
-            batch.only = runs
+        for batch, ids in zip(batches, chosen):
+            batch.only = ids
     return count, total_s

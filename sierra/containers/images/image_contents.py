@@ -210,7 +210,7 @@ def examine(root: Path, store: StorePaths, image: Image) -> Contents:
     stored = contents(store, image)
     if stored is not None:
         return stored
-    if image.file and squashfs_file(root / image.file):
+    if image.file and is_apptainer_image(root / image.file):
         with _disk(store.images):
             return _keep(store, _of_squashfs(root / image.file, image))
     return examine_again(root, store, image)
@@ -230,7 +230,7 @@ def rootfs(root: Path, store: StorePaths, image: Image) -> Path:
 
     A missing squashfs is made. An existing one is hashed before it is used (the hash is cached); a damaged one is made again.
     """
-    if image.file and squashfs_file(root / image.file):
+    if image.file and is_apptainer_image(root / image.file):
         return root / image.file
     paths, known = store.image(image.folder), contents(store, image)
     if known is None or not known.squashfs or not paths.rootfs.is_file() or cached_sha256(paths.rootfs) != known.squashfs:
@@ -242,8 +242,8 @@ def rootfs(root: Path, store: StorePaths, image: Image) -> Path:
     return paths.rootfs
 
 
-def squashfs_file(path: Path) -> bool:
-    """Return whether apptainer can run this file as it is."""
+def is_apptainer_image(path: Path) -> bool:
+    """Return whether apptainer can run this file as it is: a SIF or a squashfs. Raises Missing if it cannot be read."""
     try:
         return not path.is_dir() and (sif_format.is_sif(path) or squashfs.is_squashfs(path))
     except OSError as error:

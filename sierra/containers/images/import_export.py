@@ -28,7 +28,7 @@ def import_archive(root: Path, store: StorePaths, file: Path, name: str = "") ->
     if not file.exists():
         raise Missing(f"the image file {file} does not exist")
     if not oci.is_archive(file):
-        runs = file.is_file() and image_contents.squashfs_file(file)
+        runs = file.is_file() and image_contents.is_apptainer_image(file)
         what = "a SIF or a squashfs, which needs no import: name it in [container] image" if runs else "not an archive"
         raise UsageError(f"{file} is {what}; only docker-archive and oci-archive can be imported")
     read = oci.read(file)
@@ -79,7 +79,7 @@ def _write(root: Path, image: Image, target: Path) -> None:
 
 
 def _check(image: Image, path: Path) -> None:
-    if image.kind == Kind.SQUASHFS or image_contents.squashfs_file(path):
+    if image.kind == Kind.SQUASHFS or image_contents.is_apptainer_image(path):
         digest = sif_format.read(path).digest() if sif_format.is_sif(path) else ""
         same = not digest or f"squashfs:{digest}" == image.id or image.kind == Kind.OCI
     else:

@@ -217,7 +217,10 @@ def _oci(path: Path, files: Files) -> Archive:
 
 
 def _manifest(path: Path, files: Files, index: JsonView, depth: int) -> tuple[str, Mapping[str, JsonView]]:
-    """Return the digest and content of the only manifest in an index, or of the only one for this machine's architecture."""
+    """Return the digest and content of the only manifest in an index, or of the only one for this machine's architecture.
+
+    It may be in another index that this one names; `depth` is the largest number of these, one in another.
+    """
     listed = as_object(index).get("manifests")
     if isinstance(listed, list) and len(listed) > 1:
         platforms = [as_object(as_object(item).get("platform")) for item in listed]
@@ -225,7 +228,8 @@ def _manifest(path: Path, files: Files, index: JsonView, depth: int) -> tuple[st
         listed = mine or listed
     entry = _only(path, listed, lambda item: str(item.get("digest"))[:19])
     _, manifest, digest = _referenced(path, files, entry, "the manifest")
-    if "manifests" in manifest and "config" not in manifest and depth:
+    is_index = "manifests" in manifest and "config" not in manifest
+    if is_index and depth:
         return _manifest(path, files, manifest, depth - 1)
     return f"sha256:{digest}", manifest
 

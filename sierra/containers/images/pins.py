@@ -14,7 +14,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from sierra.containers.images.image import AnyImage, Image, ImageVariants, InvalidImage, architecture, of_fields
-from sierra.containers.images.image_contents import Contents, examine, examine_again, squashfs_file
+from sierra.containers.images.image_contents import Contents, examine, examine_again, is_apptainer_image
 from sierra.containers.images.resolve import named
 from sierra.errors import ConfigError, Missing, SierraError
 from sierra.store.layout import ProjectPaths, StorePaths
@@ -32,7 +32,7 @@ def pin(root: Path, store: StorePaths, name: str) -> Contents:
     An archive may have the right configuration and damaged layers, so it is read completely before it is pinned the first time.
     """
     image, before = named(root, name), all_pinned(root).get(name)
-    unread = image.file and not squashfs_file(root / image.file) and (before is None or before.sha256 != image.sha256)
+    unread = image.file and not is_apptainer_image(root / image.file) and (before is None or before.sha256 != image.sha256)
     contents = examine_again(root, store, image) if unread or (image.file and not image.sha256) else examine(root, store, image)
     _write(root, contents.image)
     return contents

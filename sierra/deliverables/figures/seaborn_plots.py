@@ -64,45 +64,45 @@ class GroupAxes:
     colours: Sequence[ColorType]
 
 
-def boxes(side: GroupAxes, summaries: Grouped) -> None:
+def boxes(axes: GroupAxes, summaries: Grouped) -> None:
     """Draw boxes. Each has five values in `summaries`: the ends of the whiskers, the quartiles, and the median.
 
     The quartiles of five numbers are the second and the fourth, so that seaborn draws exactly these numbers.
     """
     look = {"saturation": 1, "linecolor": LINES, "linewidth": 0.7, "medianprops": {"linewidth": 1.6}}
-    _side_by_side("boxplot", side, summaries, BOX, width=WIDTH, gap=GAP, whis=(0, 100), **look)
+    _side_by_side("boxplot", axes, summaries, BOX, width=WIDTH, gap=GAP, whis=(0, 100), **look)
 
 
-def violins(side: GroupAxes, values: Grouped) -> None:
+def violins(axes: GroupAxes, values: Grouped) -> None:
     """Draw densities from the smallest to the largest value, all of the same width: Gaussian kernels, bandwidth of Scott.
 
     On a logarithmic axis they are the densities of the logarithms.
     """
-    look = {"saturation": 1, "linewidth": 0, "inner": None, "cut": 0}
-    _side_by_side("violinplot", side, values, VIOLIN, width=WIDTH, gap=GAP, density_norm="width", **look)
+    look = {"saturation": 1, "linewidth": 0, "inner": None}
+    _side_by_side("violinplot", axes, values, VIOLIN, width=WIDTH, gap=GAP, density_norm="width", cut=0, **look)
 
 
-def dots(side: GroupAxes, values: Grouped, *, size: float, jitter: float, marker: str = "o") -> None:
+def dots(axes: GroupAxes, values: Grouped, *, size: float, jitter: float, marker: str = "o") -> None:
     """Draw a dot of `size` points for each value, moved aside by at most `jitter` (of the distance of two places)."""
-    _side_by_side("stripplot", side, values, 1, size=size, marker=marker, jitter=jitter or False, alpha=0.7, linewidth=0)
+    _side_by_side("stripplot", axes, values, 1, size=size, marker=marker, jitter=jitter or False, alpha=0.7, linewidth=0)
 
 
-def _side_by_side(function: str, side: GroupAxes, values: Grouped, strength: float, **look: object) -> None:
+def _side_by_side(function: str, axes: GroupAxes, values: Grouped, strength: float, **look: object) -> None:
     """Call one of seaborn's categorical functions; `strength` is 1 for the colours of the groups, less for lighter ones."""
     if not len(values.value):
         return
-    with _seaborn(side.plot) as seaborn:
+    with _seaborn(axes.plot) as seaborn:
         getattr(seaborn, function)(
             values.frame(),
             x="place",
             y="value",
             hue="group",
-            order=list(range(side.places)),
-            hue_order=list(range(len(side.colours))),
-            palette=[tinted(colour, strength) for colour in side.colours],
+            order=list(range(axes.places)),
+            hue_order=list(range(len(axes.colours))),
+            palette=[tinted(colour, strength) for colour in axes.colours],
             dodge=True,
             legend=False,
-            ax=side.plot,
+            ax=axes.plot,
             **look,
         )
 

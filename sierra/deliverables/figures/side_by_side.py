@@ -56,7 +56,7 @@ class _Content:
         self._panel, self._within = panel, within
         self.groups = summary.looks_of_groups(within)
         self.colours = [group.colour for group in self.groups]
-        self.side = GroupAxes(panel.plot, len(within.first.values), self.colours)
+        self.axes = GroupAxes(panel.plot, len(within.first.values), self.colours)
         self.width = seaborn_plots.WIDTH * (1 - seaborn_plots.GAP) / len(self.colours)
 
     def at(self, row: Mapping[str, int]) -> tuple[float, int]:
@@ -116,10 +116,10 @@ def _hatch(content: _Content, surfaces: Sequence[Patch | PolyCollection], streng
 
 def _boxes(content: _Content, drawing: Drawing) -> None:
     # Before the axis is logarithmic, because seaborn would leave out the ends of boxes that are not above 0.
-    seaborn_plots.boxes(content.side, content.grouped(_five_numbers))
-    _hatch(content, content.side.plot.patches, seaborn_plots.BOX)
+    seaborn_plots.boxes(content.axes, content.grouped(_five_numbers))
+    _hatch(content, content.axes.plot.patches, seaborn_plots.BOX)
     beyond = content.grouped(lambda row, runs: runs[(runs < row["whisker_low"]) | (runs > row["whisker_high"])])
-    seaborn_plots.dots(content.side, beyond, size=2.2, jitter=0)
+    seaborn_plots.dots(content.axes, beyond, size=2.2, jitter=0)
 
 
 def _five_numbers(row: Mapping[str, float], runs: Floats) -> Floats:
@@ -130,16 +130,16 @@ def _five_numbers(row: Mapping[str, float], runs: Floats) -> Floats:
 
 
 def _violins(content: _Content, drawing: Drawing) -> None:
-    plot = content.side.plot
+    plot = content.axes.plot
     if drawing.figure.log_y:
         plot.set_yscale("log")
     dense = content.grouped(lambda row, runs: runs if has_density(runs) else runs[:0])
-    seaborn_plots.violins(content.side, dense)
+    seaborn_plots.violins(content.axes, dense)
     _hatch(
         content, [collection for collection in plot.collections if isinstance(collection, PolyCollection)], seaborn_plots.VIOLIN
     )
     dots = content.grouped(lambda row, runs: runs)
-    seaborn_plots.dots(content.side, dots, size=1.6, jitter=JITTER * 0.6)
+    seaborn_plots.dots(content.axes, dots, size=1.6, jitter=JITTER * 0.6)
     for row in content.rows:
         x, group = content.at(row)
         colour = content.colours[group]
@@ -152,11 +152,11 @@ def _strips(content: _Content, drawing: Drawing) -> None:
     most = max(map(len, content.runs))
     dots, size = content.grouped(lambda row, runs: runs), 2.4 if most <= 50 else 1.2
     for marker, some in _by_marker(content, dots):
-        seaborn_plots.dots(content.side, some, size=size, jitter=JITTER, marker=marker)
+        seaborn_plots.dots(content.axes, some, size=size, jitter=JITTER, marker=marker)
     for row in content.rows:
         x, group = content.at(row)
         ends = x - content.width / 2, x + content.width / 2
-        content.side.plot.hlines(row["median"], *ends, color=content.colours[group], linewidth=1.4, capstyle="butt", zorder=3)
+        content.axes.plot.hlines(row["median"], *ends, color=content.colours[group], linewidth=1.4, capstyle="butt", zorder=3)
 
 
 def _by_marker(content: _Content, dots: Grouped) -> Iterator[tuple[str, Grouped]]:

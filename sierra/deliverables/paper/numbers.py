@@ -19,7 +19,7 @@ from sierra.deliverables import comparison, paper_tables
 from sierra.deliverables.claims import evaluate
 from sierra.deliverables.claims.evaluate import Evaluated
 from sierra.deliverables.comparison import Compared
-from sierra.deliverables.run_statistics import of_tables, statistics
+from sierra.deliverables.run_statistics import output_and_columns, statistics
 from sierra.design.query import condition
 from sierra.errors import NotFound, SierraError, UsageError
 from sierra.execution.batches_of_queries import BatchesOfQueries
@@ -157,7 +157,7 @@ def _of_sql(store: Store, statement: str, batches: Mapping[str, str]) -> Compute
 
 
 def _of_statistic(project: LoadedProject, store: Store, number: NumberInText, batch: str) -> Computed:
-    output, [column] = of_tables(project, store, batch, number.table, (number.column,) if number.column else ())
+    output, [column] = output_and_columns(project, store, batch, number.table, (number.column,) if number.column else ())
     measure = number.measure or "auto"
     summary = statistics(project, store, batch, output, column, measure, number.threshold, chosen=(number.statistic,))
     chosen = condition.among(number.experiments, summary.axes, summary.cells, summary.labelled)

@@ -59,14 +59,14 @@ def _difference(built: Sequence[BuildProductRow], products: Sequence[Product]) -
     now = {product.name: product.sha256 for product in products}
     was = {row.name: row.sha256 for row in built}
     missing = [name for name in was if name not in now]
-    changed = [name for name, digest in was.items() if now.get(name, digest) != digest]
-    others = [name for name in now if name not in was]
+    changed = [name for name, digest in was.items() if name in now and now[name] != digest]
+    additional = [name for name in now if name not in was]
     parts = (
         f"{few(names, SHOWN)} {singular if len(names) == 1 else plural}"
         for names, singular, plural in (
             (missing, "is missing", "are missing"),
             (changed, "is not the file that was built", "are not the files that were built"),
-            (others, "was not built, but matches produces", "were not built, but match produces"),
+            (additional, "was not built, but matches produces", "were not built, but match produces"),
         )
         if names
     )

@@ -268,7 +268,10 @@ def _is_time(column: str, declared: str | None) -> bool:
 
 
 def _means(project: LoadedProject, store: Store, side: ComparedRuns, output: str, column: str) -> dict[int, Mean]:
-    """Return the statistics of a column by the experiment's place."""
+    """Return the statistics of a column by the experiment's place, without experiments of which no run has a value.
+
+    Only Wilson's intervals are kept, because they tell rates: `welch` computes those of other means from `sd`.
+    """
     table = run_statistics.statistics(project, store, side.batch.batch, output, column, "final").table
     names = ("experiment", "n", "mean", "sd", "low", "high", "interval")
     rows = zip(*(table.column(name).to_pylist() for name in names), strict=True)

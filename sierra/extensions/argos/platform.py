@@ -436,13 +436,15 @@ class Argos:
         ids = template.find(f"({path})/@id")
         sizes = tuple(_parsed(text, "a wall's size") for text in template.find(f"({path})/@size"))
         positions = tuple(_parsed(text, "a wall's position") for text in template.find(f"({path})/body/@position"))
-        turned = any(any(_parsed(text, "an orientation")) for text in template.find(f"({path})/body/@orientation"))
-        if turned or not len(template.find(path)) == len(ids) == len(sizes) == len(positions):
+        is_turned = any(any(_parsed(text, "an orientation")) for text in template.find(f"({path})/body/@orientation"))
+        is_complete = len(template.find(path)) == len(ids) == len(sizes) == len(positions)
+        if is_turned or not is_complete:
             raise TemplateError(
                 f"{path} selects elements that are not walls: a wall is a box with id, size and position, without rotation"
             )
         walls = tuple(_wall(*facts, positions) for facts in zip(ids, sizes, positions, strict=True))
-        if walls and sorted((wall.axis, wall.high) for wall in walls) != [(0, False), (0, True), (1, False), (1, True)]:
+        sides = sorted((wall.axis, wall.high) for wall in walls)
+        if walls and sides != [(0, False), (0, True), (1, False), (1, True)]:
             raise TemplateError(
                 f"{', '.join(map(repr, ids))}: there must be one wall on each of the four sides; "
                 f"set walls in {TABLE} to an XPath that selects four boxes, or none"

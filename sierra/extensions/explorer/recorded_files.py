@@ -64,10 +64,10 @@ def _video(row: DeliverableRow, name: str, files: Sequence[str], find: Find, tic
 def _in_project(root: Path, hashes: Hashes) -> Find:
     """Return a function that finds files within a project's folder."""
 
-    def find(name: str, recorded: str) -> ServedContent | None:
+    def find(name: str, recorded_sha256: str) -> ServedContent | None:
         path = (root / name).resolve()
-        there = path.is_relative_to(root.resolve()) and path.is_file()
-        return hashes.checked(path, recorded) if there else None
+        is_there = path.is_relative_to(root.resolve()) and path.is_file()
+        return hashes.checked(path, recorded_sha256) if is_there else None
 
     return find
 
@@ -75,8 +75,8 @@ def _in_project(root: Path, hashes: Hashes) -> Find:
 def _in_package(read: moving_pictures.Read) -> Find:
     """Return a function that finds files of a package, which are read again each time that a browser asks for a part."""
 
-    def find(name: str, recorded: str) -> ServedContent | None:
-        again = partial(_checked, read, name, recorded)
+    def find(name: str, recorded_sha256: str) -> ServedContent | None:
+        again = partial(_checked, read, name, recorded_sha256)
         with suppress(SierraError, FileNotFoundError):
             again()
             return again
@@ -85,9 +85,9 @@ def _in_package(read: moving_pictures.Read) -> Find:
     return find
 
 
-def _checked(read: moving_pictures.Read, name: str, recorded: str) -> bytes:
+def _checked(read: moving_pictures.Read, name: str, recorded_sha256: str) -> bytes:
     """Return the content of a file in a package. Raises FileNotFoundError if it is not there or not the recorded one."""
     data = read(name, LARGEST)
-    if data is None or sha256(data) != recorded:
+    if data is None or sha256(data) != recorded_sha256:
         raise FileNotFoundError(name)
     return data

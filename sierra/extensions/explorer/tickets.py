@@ -16,8 +16,8 @@ from typing import BinaryIO
 from sierra.extensions.explorer.checked_files import CheckedFile
 from sierra.util.lazy_definitions import dataclass
 
-MOST = 10_000
-"""The largest number of addresses that are valid at a time: a batch may have a hundred videos."""
+MOST_FILES = 10_000
+"""The largest number of addresses of files that are valid at a time: a batch may have a hundred videos."""
 MOST_BYTES = 100 << 20
 """The largest size of all pages in memory; the last one may be larger."""
 PREFIX = "/made/"
@@ -56,17 +56,17 @@ class Tickets:
         address = f"{PREFIX}{secrets.token_urlsafe(32)}"
         with self._one:
             self._made[address] = made
-            for old in self._too_many():
+            for old in self._outdated():
                 del self._made[old]
         return address
 
-    def _too_many(self) -> list[str]:
-        """Return the addresses that are not valid any more: all of the kind that are older than the last ones."""
+    def _outdated(self) -> list[str]:
+        """Return the oldest addresses, which are to be dropped: of pages beyond `MOST_BYTES`, of files beyond `MOST_FILES`."""
         pages = [(address, len(made.content)) for address, made in self._made.items() if isinstance(made.content, bytes)]
         files = [address for address, made in self._made.items() if not isinstance(made.content, bytes)]
-        sizes = accumulate(size for _, size in reversed(pages))
-        kept = max(1, sum(size <= MOST_BYTES for size in sizes))
-        return [*(address for address, _ in pages[:-kept]), *files[:-MOST]]
+        totals = accumulate(size for _, size in reversed(pages))  # of the last page, of the last two, and so on
+        kept_pages = max(1, sum(total <= MOST_BYTES for total in totals))
+        return [*(address for address, _ in pages[:-kept_pages]), *files[:-MOST_FILES]]
 
     def find(self, address: str) -> ServedFile | None:
         return self._made.get(address)

@@ -187,7 +187,11 @@ class Ros(Platform):
         return CRITERIA
 
     def check(self, document: TemplateView, template: TemplateView) -> None:
-        """Refuse a launch file that would never end, or whose robots would be one."""
+        """Raise TemplateError for a launch file that SIERRA cannot execute as one run on this machine.
+
+        Such files never end, have another root or another length, start several robots under one name, give robots poses that
+        `[trials]` declares too, or name another machine. Of files in YAML, only the root is checked.
+        """
         if not document.find(f"{ROOT}/self::*"):
             raise TemplateError("the root of a launch file must be launch")
         if not self._is_xml:

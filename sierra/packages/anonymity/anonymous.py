@@ -77,15 +77,18 @@ class Anonymity:
         return replace(subject, project=project, date=package.date or DATE, redacted=True)
 
     def check(self, subject: Subject, members: Mapping[str, Member]) -> tuple[str, ...]:
-        """Return a note for each file that could not be searched. Raises Identifying if a member has one of the words."""
-        names = _Names(subject.store)
-        search = ContentSearch(self.search, names.of)
-        for name, member in sorted(members.items(), key=lambda item: (item[0].startswith(STORED), item[0])):
+        """Return a note for each file that could not be searched. Raises Identifying if a member has one of the words.
+
+        The store is searched last, without the objects whose content other members have: a word in them is reported once.
+        """
+        search = ContentSearch(self.search, _Names(subject.store).of)
+        stored_last = sorted(members.items(), key=lambda item: (item[0].startswith(STORED), item[0]))
+        for name, member in stored_last:
             if name.startswith(SIERRA):  # what SIERRA itself is made of shows nothing of who packs
                 continue
             search.name(name, name)
             if not name.startswith(STORED):
-                search.known(member.sha256())
+                search.skip_object(member.sha256())
             with member.open() as content:
                 search.file(content, name)
         if hits := search.hits:

@@ -141,7 +141,7 @@ class ContentSearch:
         """`name_of` returns a text for an object of a store from its SHA-256."""
         self._search = search
         self._name_of = name_of
-        self._known: set[bytes] = set()
+        self._searched: set[bytes] = set()
         self._allowance = Allowance(0)
         self.hits: list[Hit] = []
         self.unread: list[str] = []
@@ -157,9 +157,9 @@ class ContentSearch:
         self._file(stream, location, depth)
         self._allowance = outer
 
-    def known(self, digest: str) -> None:
+    def skip_object(self, digest: str) -> None:
         """Leave out objects of this SHA-256, because a file with this content is searched."""
-        self._known.add(bytes.fromhex(digest))
+        self._searched.add(bytes.fromhex(digest))
 
     def _file(self, stream: IO[bytes], location: str, depth: int) -> None:
         """Search a file that may be in another one: first what can be opened, then all bytes that were not."""
@@ -458,9 +458,9 @@ class ContentSearch:
         rows = (row for batch in batches for row in zip(*(batch.column(name) for name in OBJECTS), strict=True))
         for digest, parts in itertools.groupby(rows, lambda row: row[0].as_py()):
             key = bytes.fromhex(digest)
-            if key in self._known:
+            if key in self._searched:
                 continue
-            self._known.add(key)
+            self._searched.add(key)
             with tempfile.SpooledTemporaryFile(IN_MEMORY) as content:
                 for part in parts:
                     content.write(part[3].as_buffer())

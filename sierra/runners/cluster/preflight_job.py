@@ -44,8 +44,8 @@ class Preflight:
         """Return the request for the job."""
         return submission_record.request(self._session, self.name, (0,), self._table.python, "--probe")
 
-    def is_fine(self) -> bool:
-        """Return True if the check has succeeded. Raises Missing if it has found a problem."""
+    def has_passed(self) -> bool:
+        """Return True if the check has succeeded, False while there is no answer. Raises Missing if it has found a problem."""
         for path in self._session.results.glob("probe.*.pack"):
             for event in Pack(path).read():
                 match event:

@@ -322,7 +322,7 @@ class Cluster:
     def _check_nodes(self) -> None:
         """Let elements execute if the preflight job, or an element that has begun since, shows that nodes can do this."""
         try:
-            if self._batch.phase is Phase.PROBING and (self._collector.has_begun() or self._probe.is_fine()):
+            if self._batch.phase is Phase.PROBING and (self._collector.has_begun() or self._probe.has_passed()):
                 self._change(phase=Phase.EXECUTING)
         except Missing as error:
             self._end(error)

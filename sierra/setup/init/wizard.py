@@ -89,19 +89,20 @@ def with_findings(guess: Guess, first: Trial, second: Trial | None = None) -> Gu
     `second` is a run with another seed. One run alone shows dates in names only.
     """
     outputs = dict(guess.outputs)
-    names: dict[str, str] = {}
+    output_of: dict[str, str] = {}  # the name of the output by the pattern of its files; without a pattern, by its table
     open_files = _patterns(first, second)
     for file in first.files:
-        if file.table is None or file.table in names.values():
+        if file.table is None or file.table in output_of.values():
             continue
         is_open = "*" in str(outputs.get(file.table, {}).get("file", ""))
         pattern = None if is_open else open_files.get(file.path)
         name = file.table
-        if pattern and not pattern.endswith(ROTATION) and pattern not in names:
+        if pattern and not pattern.endswith(ROTATION) and pattern not in output_of:  # one new output for all of its files
             name = next(free for free in numbered(open_names.name_of(pattern)) if free not in outputs)
-        name = names.setdefault(pattern or name, name)
+        name = output_of.setdefault(pattern or name, name)
         declared = outputs.get(name, {})
-        keys = {**_keys_of(file, second, open_files, has_events="rows" in declared and not file.time), **declared}
+        has_events = "rows" in declared and not file.time  # its rows are a list in JSON without a time
+        keys = {**_keys_of(file, second, open_files, has_events=has_events), **declared}
         if pattern or keys:
             outputs[name] = {"file": pattern or file.path, **keys}
     return replace(guess, outputs=outputs)
@@ -246,7 +247,8 @@ def find_out(root: Path, options: Options, ask: Ask | None = None) -> Guess:
 def try_run(root: Path, guess: Guess, show: Show, *, seed: int | None = None) -> Trial | str | None:
     """Execute one run with the guessed settings before they are written, with this seed; nothing is recorded.
 
-    Returns the trial; or why no run can be tried; or None if the command is doubtful. Raises KeyboardInterrupt.
+    Returns the trial; or why no run can be tried; or None if the command is doubtful. Raises KeyboardInterrupt, and the errors
+    of `parsed`: such settings cannot be written either.
     """
     from sierra.design.query import query_request
     from sierra.execution import resolve_plan, trial
@@ -260,8 +262,9 @@ def try_run(root: Path, guess: Guess, show: Show, *, seed: int | None = None) ->
     root = root.resolve()
     project = LoadedProject(root, root / CONFIG, parsed(root, guess))
     try:
-        plan = resolve_plan.plan(project, query_request.request(list(guess.tried) or [trial.UNCHANGED], runs=1))
-        run, files = trial.choose(plan, 0, seed)
+        criteria = list(guess.tried) or [trial.UNCHANGED]
+        plan = resolve_plan.plan(project, query_request.request(criteria, runs=1))
+        run, files = trial.choose(plan, experiment=0, seed=seed)
         return trial.attempt(plan, run, files, StorePaths(ProjectPaths(root).store), Observer(), show)
     except SierraError as error:
         return f"no run was tried: {error}"

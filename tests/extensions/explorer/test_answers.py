@@ -210,7 +210,7 @@ def test_a_range_behind_the_end_is_refused(header: str) -> None:
 
 def test_old_addresses_end(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sierra.extensions.explorer.tickets.MOST_BYTES", 10)
-    monkeypatch.setattr("sierra.extensions.explorer.tickets.MOST", 3)
+    monkeypatch.setattr("sierra.extensions.explorer.tickets.MOST_FILES", 3)
     tickets = Tickets()
     pages = [tickets.issue(ServedFile("text/html", b"1234")) for _ in range(3)]
     films = [tickets.issue(ServedFile("video/mp4", bytes)) for _ in range(4)]

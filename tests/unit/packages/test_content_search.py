@@ -251,7 +251,7 @@ def test_objects_of_a_store_are_searched_one_by_one_and_each_once() -> None:
         pa.schema([("sha256", pa.string()), ("part", pa.int64()), ("size", pa.int64()), ("content", pa.large_binary())]),
     )
     found = ContentSearch(Search([Word("secret-host", "host name")]), {"aa" * 32: "stdout of run 1"}.__getitem__)
-    found.known("bb" * 32)
+    found.skip_object("bb" * 32)
     found.file(io.BytesIO(parquet(table)), "objects")
     named = [str(hit) for hit in found.hits if "stdout" in hit.location]
     assert named == ["objects (stdout of run 1), line 1: 'secret-host' (host name)"]

@@ -276,17 +276,18 @@ def _parsed(definition: str, language: str, name: str) -> Any:
             head, _, rest = part.partition("\n")
             types |= get_types_from_idl(rest if head.startswith("IDL: ") else part) if part.strip() else {}
     for type_name, (constants, fields) in types.items():
-        _full_name(type_name)
-        named = [field for field, _ in fields]
-        plain = [kind for _, kind, _ in constants] + [_base(detail) for _, detail in fields]
-        values = all(isinstance(value, str | bool | int | float) for _, _, value in constants)
-        if not values or not all(map(NAME.fullmatch, (*named, *(constant for constant, _, _ in constants)))):
+        _full_name(type_name)  # only to check the name
+        field_names = [field for field, _ in fields]
+        base_types = [kind for _, kind, _ in constants] + [_base(detail) for _, detail in fields]
+        has_valid_values = all(isinstance(value, str | bool | int | float) for _, _, value in constants)
+        names = (*field_names, *(constant for constant, _, _ in constants))
+        if not has_valid_values or not all(map(NAME.fullmatch, names)):
             raise UnreadableError(f"the type {type_name!r} has a field without a valid name or value")
-        if len(set(named)) < len(named):
+        if len(set(field_names)) < len(field_names):
             raise UnreadableError(f"the type {type_name!r} has two fields of the same name")
-        for kind in plain:
-            if kind not in PRIMITIVES and not NAME.fullmatch(kind):
-                _full_name(kind)
+        for base_type in base_types:
+            if base_type not in PRIMITIVES and not NAME.fullmatch(base_type):
+                _full_name(base_type)  # only to check the name
     return types
 
 
