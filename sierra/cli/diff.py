@@ -11,6 +11,7 @@ import typer
 
 from sierra.cli import complete
 from sierra.cli.output import note, print_json, readable
+from sierra.errors import UsageError
 from sierra.util.lazy_definitions import regex
 
 if TYPE_CHECKING:
@@ -71,6 +72,8 @@ def diff(
     from sierra.cli.open_project import project
 
     if PACKAGED.fullmatch(before) or PACKAGED.fullmatch(after):
+        if patch:
+            raise UsageError("--patch shows patches of two records of a project; for packages, leave it out")
         _packages(before, after, as_json=as_json)
         return
     answer = project().records.diff(before, after)

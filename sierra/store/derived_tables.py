@@ -149,25 +149,25 @@ class DerivedTables:
         if names is not None and names <= TABLE_NAMES:
             return []
         try:
-            found = self._used_with_empty_tables(text)
+            used = self._used_with_empty_tables(text)
         except SqlError:
             return []
-        return [name for name in found.tables if name not in TABLE_NAMES and name in self.definitions]
+        return [name for name in used.tables if name not in TABLE_NAMES and name in self.definitions]
 
     def _used_with_empty_tables(self, text: str) -> statement.Used:
         """Return what a statement uses. Add an empty table for each table of accepted ends in it that no run has written.
 
         Raises SqlError.
         """
-        found = statement.used(self._connection(), text)
-        for name in found.tables:
+        used = statement.used(self._connection(), text)
+        for name in used.tables:
             output = self._outputs.get(name.removesuffix(ACCEPTED))
             if output is None:
                 continue
             is_defined = name in {*self._outputs, *self.definitions}
             if not is_defined:
                 self.add(Definition(name, f"SELECT * FROM {identifier(output)} LIMIT 0", f"the table {name}", empty=True))
-        return found
+        return used
 
     def list(self) -> list[str]:
         """Make views of all tables that are not made yet, so that they are listed; return notes on those that cannot be."""

@@ -244,18 +244,18 @@ def choose(batches: Sequence[Batch], most: int | None, seconds: float | None) ->
     their first run before any gets its second one.
     """
     ranked = []
-    for place, batch in enumerate(batches):
+    for position, batch in enumerate(batches):
         ranks: dict[int, int] = {}
         for experiment, _, id, run_s in sorted((run.experiment, run.number, run.run, run.seconds) for run in batch.runs()):
             ranks[experiment] = rank = ranks.get(experiment, -1) + 1
-            ranked.append((rank, place, experiment, id, run_s))
+            ranked.append((rank, position, experiment, id, run_s))
     ranked.sort()
     chosen: list[set[str]] = [set() for _ in batches]
     count, total_s = 0, 0.0
-    for rank, place, _, id, run_s in ranked:
+    for rank, position, _, id, run_s in ranked:
         if (most is not None and rank >= most) or (seconds is not None and count and total_s + run_s > seconds):
             break
-        chosen[place].add(id)
+        chosen[position].add(id)
         count += 1
         total_s += run_s
     if count < len(ranked):

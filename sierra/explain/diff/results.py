@@ -276,8 +276,8 @@ def _means(project: LoadedProject, store: Store, side: ComparedRuns, output: str
     names = ("experiment", "n", "mean", "sd", "low", "high", "interval")
     rows = zip(*(table.column(name).to_pylist() for name in names), strict=True)
     return {
-        place: Mean(n, mean, sd or 0.0, (low, high) if interval == "Wilson" else None)
-        for place, n, mean, sd, low, high, interval in rows
+        position: Mean(n, mean, sd or 0.0, (low, high) if interval == "Wilson" else None)
+        for position, n, mean, sd, low, high, interval in rows
         if n and mean is not None
     }
 

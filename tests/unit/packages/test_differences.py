@@ -43,3 +43,11 @@ def test_names_with_a_clock_are_no_difference_between_packages(tmp_path: Path) -
     assert "_0.csv differs" not in said
     [table] = (line for line in said.splitlines() if line.startswith("results: table log"))
     assert table.endswith(": row 3: 'v' was 1 and is 6; largest difference 5 (relative 5); in 1 of 4 rows")
+
+
+def test_a_patch_of_packages_is_refused(tmp_path: Path) -> None:
+    ended = projects.quick(tmp_path, "diff", "a.zip", "b.zip", "--patch")
+    assert (ended.returncode, ended.stderr) == (
+        2,
+        "sierra: --patch shows patches of two records of a project; for packages, leave it out\n",
+    )
