@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from sierra.deliverables import html
-from sierra.deliverables.figures import formats
+from sierra.deliverables.figures import tex
 from sierra.deliverables.figures.drawing import Drawing, rendered
 from sierra.deliverables.figures.formats import FORMATS
 from sierra.deliverables.figures.interactive import CONTRAST, POINTS, on_dark
@@ -213,7 +213,7 @@ def test_pgf_needs_no_tex_and_escapes_text_for_latex() -> None:
 
 
 def test_a_figure_that_tex_cannot_hold_is_refused_as_pgf(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(formats, "MOST", 1000)
+    monkeypatch.setattr(tex, "MOST", 1000)
     with pytest.raises(UsageError, match=r"needs more than 0.001 MB of commands, too many for TeX; use pdf"):
         pgf(drawing("summary"))
 
