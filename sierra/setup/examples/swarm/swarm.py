@@ -189,8 +189,8 @@ def simulate(model: mj.MjModel, folder: Path, frames: Path | None = None) -> Non
     contacts, energy, before = 0, 0.0, swarm.touching()
     folder.mkdir(parents=True, exist_ok=True)
     camera = Camera(model, frames) if frames else None
-    with (folder / "swarm.csv").open("w", newline="") as table, (folder / "poses.csv").open("w", newline="") as other:
-        rows, poses = csv.writer(table, lineterminator="\n"), csv.writer(other, lineterminator="\n")
+    with (folder / "swarm.csv").open("w", newline="") as one, (folder / "poses.csv").open("w", newline="") as other:
+        rows, poses = csv.writer(one, lineterminator="\n"), csv.writer(other, lineterminator="\n")
         rows.writerow(["clock", "coverage", "contacts", "energy"])
         poses.writerow(["clock", "robot", "x", "y"])
         for tick in range(1, round(number(model, "duration", positive=True) * rate) + 1):
