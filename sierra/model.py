@@ -436,10 +436,18 @@ class Times:
     """The positions of runs whose values were never timed; their durations are estimated."""
     how: str
     """The origin of these durations, in words."""
+    there: float | None = None
+    """The longest of those that were measured where the runs are to execute; None if none was."""
 
     @property
     def mean(self) -> float:
         return sum(self.each) / len(self.each)
+
+    @property
+    def measured(self) -> float | None:
+        """The longest duration that was measured; None if all are estimated."""
+        new = set(self.new)
+        return max((seconds for position, seconds in enumerate(self.each) if position not in new), default=None)
 
 
 @dataclass(frozen=True, slots=True)

@@ -260,7 +260,7 @@ class Executor:
             return self._by_step(self._step, wanted, service, programs)
         order, times = Order(plan.batch, {}), None
         if runner.stays:
-            order, times = expected_durations.expected(plan, self.store, wanted)
+            order, times = expected_durations.expected(plan, self.store, wanted, runner=self._options.runner)
         elif len(wanted) > (self._options.slots or 1):
             order = expected_durations.longest_first(plan, self.store, wanted)
         self._counter.expect(order.by_run(wanted))

@@ -34,6 +34,8 @@ class Timed:
     values: Mapping[str, Value | None]
     """Values by variable; None for a variable with the template's value."""
     seconds: float
+    there: float | None = None
+    """The seconds where the runs are to execute; None if none executed there."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,12 +62,15 @@ class _Known:
         self.slowest_by: dict[str, dict[Value | None, float]] = {}
         """The seconds of the slowest run with each value, by variable."""
         self._exact: dict[tuple[Value | None, ...], float] = {}
+        self._there: dict[tuple[Value | None, ...], float] = {}
         for timed in runs:
             for name, value in timed.values.items():
                 by_value = self.slowest_by.setdefault(name, {})
                 by_value[value] = max(timed.seconds, by_value.get(value, 0.0))
             values = tuple(timed.values.values())
             self._exact[values] = max(timed.seconds, self._exact.get(values, 0.0))
+            if timed.there is not None:
+                self._there[values] = max(timed.there, self._there.get(values, 0.0))
         self.numbers = {
             name: sorted(value for value in durations if value is not None and not isinstance(value, str))
             for name, durations in self.slowest_by.items()
@@ -75,6 +80,10 @@ class _Known:
     def measured(self, values: Mapping[str, Value]) -> float | None:
         """Return the duration of runs with all of these values; None if there are none."""
         return self._exact.get(tuple(values[name] for name in self.slowest_by))
+
+    def there(self, values: Mapping[str, Value]) -> float | None:
+        """Return the duration of runs with all of these values where runs are to execute; None if there are none."""
+        return self._there.get(tuple(values[name] for name in self.slowest_by))
 
     def near(self, name: str, value: Value) -> AbstractSet[Value | None]:
         """Return the timed values of a variable that are this one, or next to it; all if none can be next to it."""
@@ -87,13 +96,17 @@ class _Known:
         return {None, value, *below[-1:], *above[:1], *texts}
 
 
-def expected(plan: Plan, store: Store | None, runs: AbstractSet[str], most: float = math.inf) -> tuple[Order, Times | None]:
+def expected(
+    plan: Plan, store: Store | None, runs: AbstractSet[str], most: float = math.inf, *, runner: str = ""
+) -> tuple[Order, Times | None]:
     """Return the order in which runs that take longer come first, and the expected durations of these runs in that order.
+
+    `runner` is where they are to execute.
 
     Experiments whose runs are not known to differ keep their order. The durations are None if no comparable run was timed, or
     if there are more than `most` pairs of an experiment and a timed one.
     """
-    known = _Known(tuple(_timed(plan, store)) if store and runs else ())
+    known = _Known(tuple(_timed(plan, store, runner)) if store and runs else ())
     wanted = {run.experiment for run in plan.batch.runs if run.id in runs}
     if not known.runs or len(known.runs) * len(wanted) > most:
         return Order(plan.batch, {}), None
@@ -103,7 +116,9 @@ def expected(plan: Plan, store: Store | None, runs: AbstractSet[str], most: floa
     each = tuple(order.seconds[run.experiment] for run in ordered)
     new = tuple(position for position, run in enumerate(ordered) if exact[run.experiment] is None)
     timed = sum(duration is not None for duration in exact.values())
-    return order, Times(each, new, _description(timed, len(exact), plan.batch.axes))
+    there = (known.there(plan.batch.experiments[ordinal].values) for ordinal in wanted)
+    longest = max((seconds for seconds in there if seconds is not None), default=None)
+    return order, Times(each, new, _description(timed, len(exact), plan.batch.axes), longest)
 
 
 def longest_first(plan: Plan, store: Store, runs: AbstractSet[str]) -> Order:
@@ -160,6 +175,7 @@ def _estimate(values: Mapping[str, Value], known: _Known) -> float:
 # no variable has a blank in its name
 TIMED = """
 SELECT b.controller AS "of controller", b.scenario AS "of scenario", b.overrides AS "of overrides", avg(e.wall_s) AS "took s",
+       avg(e.wall_s) FILTER (WHERE e.session IN (SELECT session FROM sessions WHERE runner = $runner)) AS "took there s",
        x.* EXCLUDE (batch, ordinal, experiment)
 FROM executions e JOIN batch_runs m USING (batch, run) JOIN experiments x USING (batch, ordinal) JOIN batches b USING (batch)
      JOIN specs r ON r.spec = b.spec
@@ -172,12 +188,12 @@ WHERE status IN ('ok', 'accepted') AND purpose = 'run' GROUP BY run
 """
 
 
-def _timed(plan: Plan, store: Store) -> Iterator[Timed]:
+def _timed(plan: Plan, store: Store, runner: str) -> Iterator[Timed]:
     """Yield the durations of runs with the same command, controller, scenario and settings, or else with others."""
     project, query, batch = plan.project.config, plan.query, plan.batch
     with store.snapshot() as snapshot:
-        snapshot.views.make(("executions", "batch_runs", "experiments", "batches", "specs"))
-        rows = snapshot.rows(TIMED, command=list(batch.spec.command))
+        snapshot.views.make(("executions", "batch_runs", "experiments", "batches", "specs", "sessions"))
+        rows = snapshot.rows(TIMED, command=list(batch.spec.command), runner=runner)
     settings = {
         "of controller": query.controller or project.controller,
         "of scenario": query.scenario or project.scenario,
@@ -186,7 +202,9 @@ def _timed(plan: Plan, store: Store) -> Iterator[Timed]:
     alike = [row for row in rows if {name: row[name] for name in settings} == settings]
     for row in alike or rows:
         if isinstance(seconds := row["took s"], float):
-            yield Timed({axis.name: _plain(row.get(axis.name), numeric=axis.numeric) for axis in batch.axes}, seconds)
+            values = {axis.name: _plain(row.get(axis.name), numeric=axis.numeric) for axis in batch.axes}
+            there = row["took there s"]
+            yield Timed(values, seconds, there if isinstance(there, float) else None)
 
 
 def _plain(value: object, *, numeric: bool) -> Value | None:

@@ -51,7 +51,7 @@ def proposal(
         return None
     scheduler, table = cluster
     wrote = _wrote(plan, store) if store else None
-    _, times = expected_durations.expected(plan, store, wanted)
+    _, times = expected_durations.expected(plan, store, wanted, runner=runner)
     return propose(
         runner,
         scheduler,

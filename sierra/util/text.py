@@ -61,6 +61,11 @@ def counted(count: int, noun: str) -> str:
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
+def often(times: int) -> str:
+    """Return how often something happened: `once`, `2 times`."""
+    return "once" if times <= 1 else f"{times} times"
+
+
 DIGITS = 6
 """The digits of numbers that are shown to people, unless different numbers would look alike."""
 

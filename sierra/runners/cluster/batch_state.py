@@ -18,7 +18,7 @@ from sierra.runners.cluster.collect import Evidence, Share
 from sierra.runners.cluster.submission_record import waits
 from sierra.runners.schedulers.base import State, Task
 from sierra.util.lazy_definitions import dataclass, field, regex, replace
-from sierra.util.text import counted, few
+from sierra.util.text import counted, few, often
 
 PROBE_UNKNOWN = 3
 """Number of consecutive times that the scheduler may not know a preflight job without records, before the job has failed."""
@@ -80,6 +80,8 @@ class Answer(NamedTuple):
     now: float
     forgets: bool = False
     """True if the scheduler omits ended tasks: see `Scheduler`."""
+    is_longest: bool = False
+    """True if no element gets more time when it is submitted again."""
 
 
 class Cancel(NamedTuple):
@@ -155,7 +157,7 @@ def on_poll(batch: BatchState, answer: Answer, table: ClusterTable) -> Decision:
         share.queued = index in queued or (share.queued and index not in alive)
     evidence = {index: seen for index, seen in answer.evidence.items() if shares[index].gone > 1}
     lost = {index: seen._replace(message=shares[index].trouble or seen.message) for index, seen in evidence.items()}
-    batch, more = _on_lost(batch, lost, table, forgets=answer.forgets)
+    batch, more = _on_lost(batch, lost, table, answer)
     return batch, [*actions, *more]
 
 
@@ -193,11 +195,16 @@ def is_mishap(task: Task) -> bool:
     return task.state is State.STUCK and RELAUNCHED in task.reason.lower()
 
 
-def _on_lost(batch: BatchState, lost: Mapping[int, Evidence], table: ClusterTable, *, forgets: bool) -> Decision:
-    """Decide about elements that are gone while runs of theirs are missing."""
+def _on_lost(batch: BatchState, lost: Mapping[int, Evidence], table: ClusterTable, answer: Answer) -> Decision:
+    """Decide about elements that are gone while runs of theirs are missing.
+
+    A run that had all of an element's time fails at once if no element gets more; other runs are tried `attempts` times.
+    """
     shares = batch.shares
     why = {index: _end_reason(shares[index], seen, table) for index, seen in lost.items()}
-    foreign = [index for index, seen in lost.items() if _is_cancelled_by_others(shares[index], seen, table, forgets=forgets)]
+    foreign = [
+        index for index, seen in lost.items() if _is_cancelled_by_others(shares[index], seen, table, forgets=answer.forgets)
+    ]
     if foreign and table.cancelled == "stop":
         what = f"{counted(len(foreign), 'array task')}: {few([why[index] for index in foreign], 2)}"
         return batch, [Cancelled(what, any(shares[index].cancelled for index in foreign), foreign)]
@@ -208,7 +215,8 @@ def _on_lost(batch: BatchState, lost: Mapping[int, Evidence], table: ClusterTabl
         if share.done > share.progress:
             share.tries = 0
         cut = seen.by_limit if timed else seen.alone
-        guilty = [execution for execution in _suspects(share, table.attempts) if execution in cut]
+        attempts = 1 if timed and answer.is_longest and _overdue(seen, table) else table.attempts
+        guilty = [execution for execution in _suspects(share, attempts) if execution in cut]
         if guilty:
             actions.append(GiveUp(index, guilty, share.tries, why[index]))
         if share.missing == len(guilty):
@@ -216,8 +224,7 @@ def _on_lost(batch: BatchState, lost: Mapping[int, Evidence], table: ClusterTabl
         share.tries = 0 if guilty else share.tries
         share.suspects = [] if timed else [run for run in _suspects(share, table.attempts - 1) if run not in guilty]
         if share.tries >= table.attempts * (2 if share.suspects else 1):
-            times = f"{share.tries} times" if share.tries > 1 else "once"
-            ended = f"array task {index} was executed {times} and ended before any of its runs ended: {why[index]}"
+            ended = f"array task {index} was executed {often(share.tries)} and ended before any of its runs ended: {why[index]}"
             actions.append(End(Missing(ended)))
             break
         resubmit[index] = why[index]

@@ -30,7 +30,7 @@ from sierra.store.segments import disk_errors
 from sierra.util.fs import write_whole
 from sierra.util.json_types import RecordValue
 from sierra.util.lazy_definitions import dataclass, field, replace
-from sierra.util.text import counted
+from sierra.util.text import counted, often
 from sierra.worker.files import remove
 from sierra.worker.result_log import Attempt, Finished, Requeued, Started, Trouble
 
@@ -384,14 +384,14 @@ class Collector:
         for execution, run in jobs_of(self._session, index):
             if execution in wanted:
                 times = max(share.begun.pop(execution), tries)
-                reason = f"its array task was cut off {times} times while the run executed: {why}"
+                reason = f"its array task was cut off {often(times)} while the run executed: {why}"
                 self.failed.append(failed(run, execution, share.node, now, reason, self._folder))
                 self._ended.add(bytes.fromhex(execution))
                 share.done += 1
         with disk_errors(self._session.root), self._session.given_up(index).open("a") as file:
             file.writelines(f"{execution}\n" for execution in executions)
         which = "a run" if len(wanted) == 1 else f"{len(wanted)} runs"
-        self._note(f"{which} of array task {index} failed, cut off {times} times: {why}")
+        self._note(f"{which} of array task {index} failed, cut off {often(times)}: {why}")
 
 
 def jobs_of(session: SessionPaths, index: int) -> Iterator[tuple[str, str]]:

@@ -288,7 +288,12 @@ class Cluster:
         }
         pairs = [(task, submission_record.elements(self._session, [task]) & shares.keys()) for task in tasks]
         ended = [(index, task) for index, task in last if index in shares]
-        return Answer(pairs, ended, evidence, now, self._scheduler.forgets)
+        return Answer(pairs, ended, evidence, now, self._scheduler.forgets, self._wall_is_longest())
+
+    def _wall_is_longest(self) -> bool:
+        """Return whether elements that are submitted again get no more time."""
+        most, wall = self._submission.allowed.wall_s, self._table.wall
+        return not self._submission.estimated or (most is not None and wall is not None and wall >= most)
 
     def _carry_out(self, batch: BatchState, actions: Sequence[batch_state.Action]) -> None:
         """Go on with the state of the batch, and carry out the actions."""
@@ -311,8 +316,8 @@ class Cluster:
                     self._end(Missing(f"{self._kind} will never start job {task.job}: {why}; see [runners.{self.name}]"))
                 case batch_state.Cancelled():
                     self._end_as_cancelled(action)
-                case batch_state.GiveUp():
-                    self._collector.give_up_on(*action)
+                case batch_state.GiveUp(_, _, _, why):
+                    self._collector.give_up_on(*action[:3], f"{why}{self._more_time(why)}")
                 case batch_state.End(error):
                     self._end(error)
 
@@ -379,6 +384,14 @@ class Cluster:
             share.cancelled, share.ours, share.queued = None, False, False
         with self._ending_on_error():
             self._submit_tasks(indices, why)
+
+    def _more_time(self, why: str) -> str:
+        """Return what helps a run that the time limit of its element has ended; empty for another end."""
+        if not batch_state.TIMED.search(why):
+            return ""
+        most = self._submission.allowed.wall_s
+        limit = f" (the site allows {most:g} s)" if most is not None else ""
+        return f"; it had all of that time: set a longer wall in [runners.{self.name}]{limit}"
 
     def _give_more_time(self) -> None:
         """Double the time limit of later elements if it was an estimate. It stays within the site's limit."""

@@ -60,11 +60,12 @@ def size(count: int, times: Times | None, table: ClusterTable, bounds: Bounds, *
     """Return how `count` runs with these expected times (None: unknown) are sharded.
 
     `waits` is true if a process follows, and so can wait for the runs that go first. Raises ConfigError for a time that the
-    site does not allow.
+    site does not allow, and for runs that take longer than an array task may.
     """
     if table.wall is not None and bounds.wall_s is not None and table.wall > bounds.wall_s:
         where = bounds.whose.get("wall_s", "the site's limit")
         raise ConfigError(f"wall = {table.wall:g} s is more than the site allows, {bounds.wall_s:g} s ({where}); request less")
+    _check_longest(times, table, bounds)
     first = _first(count, times) if waits and table.array_tasks is None and count > UNKNOWN else ()
     seconds, how = (times.mean, times.how) if times else (None, "")
     elements, why = elements_of(count - len(first), seconds, table, bounds, before=bool(first), how=how)
@@ -72,6 +73,23 @@ def size(count: int, times: Times | None, table: ClusterTable, bounds: Bounds, *
     spare = SPARE_OF_ESTIMATE if times and times.new else SPARE
     wall, wall_why = _wall(expected, spare, table, bounds, waits=waits)
     return Size(elements, wall, expected, (("array_tasks", why), ("wall", wall_why)), first)
+
+
+def _check_longest(times: Times | None, table: ClusterTable, bounds: Bounds) -> None:
+    """Raise ConfigError if a run takes longer than an array task may: it did so there, or elsewhere and `wall` is not set.
+
+    Nodes may be faster than where a run was timed. Whoever sets `wall` vouches for that.
+    """
+    allowed = bounds.wall_s if table.wall is None else table.wall
+    if times is None or allowed is None:
+        return
+    limit = f"{allowed:g} s (wall)" if table.wall is not None else f"{allowed:g} s{_whose(bounds, 'wall_s')}"
+    if times.there is not None and times.there > allowed:
+        enough = "raise wall" if bounds.wall_s is None or times.there < bounds.wall_s else "use a partition that allows more"
+        raise ConfigError(f"a run took {times.there:.0f} s there before, and an array task may take {limit}: {enough}")
+    if table.wall is None and (measured := times.measured) is not None and measured > allowed:
+        cure = f"use a partition that allows more, or set wall = {allowed:g} if a run takes less there"
+        raise ConfigError(f"a run took {measured:.0f} s, and an array task may take {limit}: {cure}")
 
 
 def longest(each: Sequence[float], elements: int, cpus: int) -> float:

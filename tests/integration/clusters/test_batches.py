@@ -55,7 +55,7 @@ def test_array_tasks_execute_the_longest_runs_first(
     config.write_text(config.read_text() + "[runners.slurm]\narray_tasks = 2\n")
     seconds = {1: 2.0, 2: 2.0, 8: 12.0, 4: 3.0}
     known = [expected_durations.Timed({"size": size}, took) for size, took in seconds.items()]
-    monkeypatch.setattr(expected_durations, "_timed", lambda plan, store: iter(known))
+    monkeypatch.setattr(expected_durations, "_timed", lambda plan, store, runner: iter(known))
     sierra.open(simulated.folder).run("size=1,2,4,8", runs=2, runner="slurm", figures=False)
     order = simulated.sql(
         "SELECT a.array_task AS task, list(x.size ORDER BY e.started) AS sizes FROM executions e "

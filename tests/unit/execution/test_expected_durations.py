@@ -106,7 +106,7 @@ def test_durations_with_other_settings_count_only_if_there_are_none_with_these(s
 def test_runs_that_take_longest_are_executed_first(simulate: Callable[..., Simulated], monkeypatch: pytest.MonkeyPatch) -> None:
     project = sierra.open(simulate("printf 't,v\\n1,1\\n' > swarm.csv").folder)
     known = timed("size", {1: 2.0, 2: 2.0, 8: 12.0, 4: 3.0})
-    monkeypatch.setattr(expected_durations, "_timed", lambda plan, store: iter(known))
+    monkeypatch.setattr(expected_durations, "_timed", lambda plan, store, runner: iter(known))
     project.run("size=1,2,4,8", runs=2, jobs=1, figures=False)
     order = project.sql(
         "SELECT x.size AS size FROM executions e JOIN batch_runs USING (batch, run) "
@@ -128,7 +128,7 @@ def test_an_order_that_takes_long_to_find_is_not_looked_for(
     simulate: Callable[..., Simulated], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     project = sierra.open(simulate("printf 't,v\\n1,1\\n' > swarm.csv").folder)
-    monkeypatch.setattr(expected_durations, "_timed", lambda plan, store: iter(timed("size", {1: 1.0, 2: 2.0})))
+    monkeypatch.setattr(expected_durations, "_timed", lambda plan, store, runner: iter(timed("size", {1: 1.0, 2: 2.0})))
     plan, store = project.plan("size=1,2", runs=1), Store.create(project.paths.store)
     runs = {run.id for run in plan.batch.runs}
     assert [one.ordinal for one in expected_durations.longest_first(plan, store, runs).batch.experiments] == [1, 0]

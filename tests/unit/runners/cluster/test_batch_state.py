@@ -40,6 +40,8 @@ VANISHED = Task("7", 0, State.ENDED)
 """A task that has ended, without more information."""
 NOTHING = Evidence("", None, frozenset(), frozenset())
 ASKED = Evidence("the task was asked to end after 42 s", None, frozenset(), frozenset())
+WHOLE = {"message": ASKED.message, "allowed_s": 42.5, "by_limit": {"a"}}
+"""A run that had all of its element's time."""
 
 
 def table(**settings: Any) -> ClusterTable:
@@ -57,11 +59,14 @@ def poll(
     seen: Evidence | None = NOTHING,
     settings: ClusterTable | None = None,
     forgets: bool = False,
+    is_longest: bool = False,
 ) -> Decision:
     """Return the decision about an answer. `seen` is the evidence for element 0; None: its records may not be complete."""
     ended = [(task.element or 0, task) for task in tasks if task.state is State.ENDED]
     known: Mapping[int, Evidence] = {} if seen is None else {0: seen}
-    answer = Answer([(task, {task.element or 0}) for task in tasks], ended, known, now=100.0, forgets=forgets)
+    answer = Answer(
+        [(task, {task.element or 0}) for task in tasks], ended, known, now=100.0, forgets=forgets, is_longest=is_longest
+    )
     return on_poll(batch, answer, settings or table())
 
 
@@ -156,6 +161,24 @@ def test_a_run_fails_only_if_it_alone_can_have_ended_its_element(
     batch, decided = poll(gone(begun=begun), task, seen=NOTHING._replace(**seen))
     assert decided == ([GiveUp(0, actions, 1, task.reason)] if actions else [])
     assert (batch.shares[0].suspects, batch.resubmit) == (suspects, {0: task.reason})
+
+
+@pytest.mark.parametrize(
+    ("task", "seen", "is_longest", "failed"),
+    [
+        pytest.param(TIMEOUT, WHOLE, True, ["a"], id="it had all of the time, and there is no more"),
+        pytest.param(TIMEOUT, WHOLE, False, [], id="the next element gets more time"),
+        pytest.param(TIMEOUT, {**WHOLE, "allowed_s": 90.0}, True, [], id="somebody has shortened its time"),
+        pytest.param(TIMEOUT, {**WHOLE, "by_limit": set()}, True, [], id="it began late"),
+        pytest.param(NODE_FAIL, {"by_limit": {"a"}}, True, [], id="another reason has ended the element"),
+    ],
+)
+def test_a_run_that_needs_more_time_than_an_element_can_get_is_not_tried_again(
+    task: Task, seen: dict[str, Any], failed: list[str], *, is_longest: bool
+) -> None:
+    batch, decided = poll(gone(begun=Counter(a=1, b=1)), task, seen=NOTHING._replace(**seen), is_longest=is_longest)
+    assert [action.executions for action in decided if isinstance(action, GiveUp)] == ([failed] if failed else [])
+    assert batch.resubmit.keys() == {0}
 
 
 def test_the_last_run_of_an_element_that_fails_leaves_nothing_to_submit() -> None:

@@ -1,4 +1,4 @@
-"""Calibration: the times of the first runs decide when, and how, the others are sharded."""
+"""Calibration: the times of the first runs decide when, and how, the others are sharded. Runs that are too long are refused."""
 
 from __future__ import annotations
 
@@ -6,7 +6,11 @@ from collections.abc import Sequence
 
 import pytest
 
-from sierra.runners.cluster.sizing import ELEMENT_S, TIMEOUT_S, timing
+from sierra.config.cluster_table import ClusterTable
+from sierra.errors import ConfigError
+from sierra.model import Times
+from sierra.runners.cluster.sizing import ELEMENT_S, TIMEOUT_S, size, timing
+from sierra.runners.schedulers.base import Bounds
 
 LATE_S, LONG_S = TIMEOUT_S + 1, ELEMENT_S + 50
 
@@ -33,3 +37,36 @@ def test_what_the_first_runs_tell(
 @pytest.mark.parametrize(("waited", "lasted"), [(TIMEOUT_S, None), (LATE_S, ELEMENT_S)])
 def test_first_runs_that_may_tell_more_are_waited_for(waited: float, lasted: float | None) -> None:
     assert timing([1.0], waited, lasted, over=False) is None
+
+
+SHORT = Bounds(wall_s=3600.0, whose={"wall_s": "MaxTime of partition short"})
+
+
+@pytest.mark.parametrize(
+    ("times", "wall", "bounds", "refusal"),
+    [
+        pytest.param(Times((4000.0, 10.0), (), ""), None, SHORT, "took 4000 s, .* 3600 s .MaxTime of partition short.: use a"),
+        pytest.param(Times((10.0,), (), "", there=4000.0), None, SHORT, "4000 s there before, .*: use a partition that allows"),
+        pytest.param(Times((10.0,), (), "", there=900.0), 600.0, SHORT, "900 s there before, .* 600 s .wall.: raise wall"),
+        pytest.param(Times((10.0,), (), "", there=900.0), 600.0, Bounds(), "raise wall"),
+    ],
+)
+def test_a_run_that_takes_longer_than_an_array_task_may_is_refused(
+    times: Times, wall: float | None, bounds: Bounds, refusal: str
+) -> None:
+    with pytest.raises(ConfigError, match=refusal):
+        size(2, times, ClusterTable(wall=wall), bounds)
+
+
+@pytest.mark.parametrize(
+    ("times", "wall", "bounds"),
+    [
+        pytest.param(Times((4000.0,), (0,), ""), None, SHORT, id="it is only estimated to be long"),
+        pytest.param(Times((4000.0,), (), ""), 3600.0, SHORT, id="it took long elsewhere, and wall is set"),
+        pytest.param(Times((4000.0,), (), "", there=3000.0), 3600.0, SHORT, id="it is faster there"),
+        pytest.param(Times((4000.0,), (), ""), None, Bounds(), id="the site has no limit"),
+        pytest.param(None, None, SHORT, id="nothing is known"),
+    ],
+)
+def test_a_run_that_may_be_short_enough_is_submitted(times: Times | None, wall: float | None, bounds: Bounds) -> None:
+    assert size(1, times, ClusterTable(wall=wall), bounds).elements == 1
