@@ -26,7 +26,7 @@ class Images(Noun):
     def pin(self, name: str | None = None) -> Contents:
         """Pin the image that a name (default: `[container] image`) refers to now in `sierra.lock`; return its content.
 
-        Of a name with `{arch}`, this pins the image for this machine's processor: see `pin_all`. Raises Missing if there is no
+        For a name with `{arch}`, this pins the image for this machine's processor: see `pin_all`. Raises Missing if there is no
         image of that name, Damaged if its content does not match its hash; it pins nothing then.
         """
         return images.pin(self._project.root, Store.create(self._project.paths.store).paths, self._image(name))

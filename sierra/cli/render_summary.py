@@ -38,7 +38,7 @@ def print_text(project: Project, summary: Summary, printed: Collection[str] = ()
 
 def answer(project: Project, summary: Summary, more: Mapping[str, object]) -> dict[str, object]:
     """Return a summary for JSON, together with `more`."""
-    return {**_answer(summary), "detached": [_left(one) for one in project.jobs.left(summary)], **more}
+    return {**_answer(summary), "detached": [_left(session) for session in project.jobs.left(summary)], **more}
 
 
 def leave(summaries: Sequence[Summary], *, detached: bool = False) -> None:

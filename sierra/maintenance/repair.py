@@ -98,7 +98,7 @@ def _has_lost(folder: Path, broken: AbstractSet[str]) -> bool:
 def by_batch(found: Iterable[Doubtful]) -> Iterator[tuple[str, list[str]]]:
     """Yield the batches, each with its executions."""
     for batch, members in groupby(found, key=attrgetter("batch")):
-        yield batch, [one.execution for one in members]
+        yield batch, [success.execution for success in members]
 
 
 def remarks(root: Path, sound: Sequence[Segment], executions: Sequence[str], session: str) -> list[TrialRow]:

@@ -210,9 +210,9 @@ def _of_rows(recorded: pa.Table, found: pa.Table, rules: Rules, unlike: Sequence
     """Compare tables with the same columns; `unlike` are volatile columns that differ."""
     time = recorded.column(rules.time) if rules.time in recorded.column_names else None
     distances = [_Distance(name, recorded.column(name), found.column(name), time) for name in recorded.column_names]
-    differing = [one for one in distances if one.first_row is not None]
+    differing = [distance for distance in distances if distance.first_row is not None]
     answer = _verdict(recorded.num_rows, found.num_rows, distances, rules, unlike)
-    columns = tuple(one.difference(rules.of(one.name)) for one in differing)
+    columns = tuple(distance.difference(rules.of(distance.name)) for distance in differing)
     return replace(answer, columns=columns, same_columns=len(distances) - len(differing))
 
 

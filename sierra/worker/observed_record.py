@@ -277,7 +277,7 @@ def as_record(trace: Trace, contents: Contents, names: Names, *, gpu: bool = Fal
 def with_services(trace: Trace, contents: Contents, shared: Trace, own: Contents) -> tuple[Trace, Contents]:
     """Return the trace and the contents of a run together with those of services that it shares with other runs.
 
-    What the services have changed is their state, and no input of the run; what they have only opened for writing is one.
+    Files that the services have changed are their state, not inputs of the run; files that they only opened for writing are.
     """
     state = {path for path in (*shared.written, *shared.removed) if path not in own.files}
     used = ("executed", "read", "found", "missed", "refused", "listed")

@@ -47,14 +47,15 @@ class BatchList:
     def part(self, words: str, first: int) -> JsonView:
         """Return the batches that contain all words, from the one at the place `first` on, and their number."""
         wanted = words.lower().split()
-        found = [one for one, text in zip(self.batches, self.texts, strict=True) if all(word in text for word in wanted)]
-        return {"all": len(self.batches), "found": len(found), "batches": [as_data(one) for one in found[first : first + PAGE]]}
+        matching = [batch for batch, text in zip(self.batches, self.texts, strict=True) if all(word in text for word in wanted)]
+        shown = [as_data(batch) for batch in matching[first : first + PAGE]]
+        return {"all": len(self.batches), "found": len(matching), "batches": shown}
 
 
 def read(store: Store, state: str) -> BatchList:
     """Return the batches that the store has now."""
     found = list_batches.batches(store)[::-1]
-    return BatchList(state, found, [_text(one) for one in found])
+    return BatchList(state, found, [_text(batch) for batch in found])
 
 
 def as_data(batch: ListedBatch) -> JsonView:
