@@ -71,6 +71,10 @@ ADDS: Mapping[str, Mapping[str, Mapping[str, str]]] = {
         "links": {"fabric": "fabric:Fabric", "openssh": "openssh:OpenSsh"},
         "options": {"doctor --hosts": "command:checked"},
     },
+    "lab": {
+        "needs": {"hosts": ""},
+        "schedulers": {"lab": "scheduler:Lab"},
+    },
     "robots": {
         "needs": {"hosts": ""},
         "runners": {"robots": "runner:Robots"},

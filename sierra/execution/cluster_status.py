@@ -16,7 +16,6 @@ from sierra.errors import NotFound, SierraError
 from sierra.execution import sessions
 from sierra.execution.observer import Observer, ProgressCounter
 from sierra.execution.sessions import Session
-from sierra.runners import schedulers
 from sierra.runners.cluster import submission_record
 from sierra.runners.cluster.submission_record import Submission
 from sierra.runners.schedulers.base import State, Task
@@ -209,7 +208,7 @@ def _with_report(store: Store, row: ClusterSession) -> ClusterSession:
     paths = store.paths.session(row.session)
     try:
         submission = Submission.load(paths)
-        scheduler = schedulers.find(submission.scheduler)(submission.cluster)
+        scheduler = submission_record.scheduler_of(submission, paths)
         tasks = scheduler.look(submission_record.name_of(paths))
         if tasks is None:
             return row

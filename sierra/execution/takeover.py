@@ -12,7 +12,6 @@ from sierra.execution.follow import Attached, attach
 from sierra.execution.observer import Observer, ProgressCounter
 from sierra.execution.sessions import Session
 from sierra.execution.summary import Summary
-from sierra.runners import schedulers
 from sierra.runners.cluster import submission_record
 from sierra.runners.cluster.submission_record import Submission
 from sierra.store.layout import SessionPaths
@@ -131,7 +130,7 @@ def _request_end(store: Store, paths: SessionPaths) -> tuple[Session | None, str
     holder = sessions.holder(paths)
     with contextlib.suppress(FileNotFoundError, Missing):
         submission = Submission.load(paths)
-        schedulers.find(submission.scheduler)(submission.cluster).cancel(submission_record.name_of(paths))
+        submission_record.scheduler_of(submission, paths).cancel(submission_record.name_of(paths))
     until = time.monotonic() + PATIENCE_S
     while paths.submission.exists():
         if (session := Session.adopted(store.paths, paths)) is not None:

@@ -245,6 +245,8 @@ class SessionPaths:
     """The folder of files that an engine needs to start containers, for hosts without SIERRA."""
     element_settings = _Below("element.json")
     """The settings that all array tasks share."""
+    carried = _Below("carried.json")
+    """The state of a scheduler that carries the session's files to hosts: which array task is where."""
     rest = _Below("elements/rest.jobs")
     """The jobs that are not assigned to array tasks yet."""
     results = _Below("results")

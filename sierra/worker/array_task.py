@@ -168,7 +168,7 @@ def new_pack(folder: str, index: str, first: Attempt, given: Allocation) -> Pack
         with contextlib.suppress(FileExistsError):
             pack = Pack(folder, index, name)
             break
-    pack.note(first._replace(attempt=name, clock=pack.clock), sync=True)
+    pack.note(first._replace(attempt=name, clock=float(given.text("clock") or pack.clock)), sync=True)
     return pack
 
 

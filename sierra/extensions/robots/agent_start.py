@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import getpass
 import os
+from pathlib import Path
 
 from sierra.errors import Missing
+from sierra.extensions.hosts.push import push_programs
+from sierra.extensions.robots import agent as programs_of_agent
 from sierra.extensions.robots.agent.records import AGENT
 from sierra.extensions.robots.agent_link import LOCK, AgentLink
 from sierra.extensions.robots.agent_messages import Record
 from sierra.extensions.robots.fleet_table import FleetTable, RobotTable
-from sierra.extensions.robots.push import push_programs
 from sierra.extensions.robots.trial import SETTLE_S
 from sierra.worker import program
 
@@ -27,7 +29,7 @@ def start(agent: AgentLink, robot: RobotTable, table: FleetTable, session: str, 
     python, root = table.python, table.folder.removeprefix("~/")
     if agent.link.run((python, "-c", OLD_PYTHON)).status != 0:
         raise Missing(f"{agent.name}: needs Python 3.8 or newer as {python!r}; set python in [runners.robots]")
-    programs = push_programs(agent.link, root)
+    programs = push_programs(agent.link, root, Path(programs_of_agent.__file__).parent)
     agent.start((python, "-I", "-S", "-B", f"{programs}/{program.NAME}", AGENT, root, LOCK))
     text = f"{getpass.getuser()} on {os.uname().nodename} (session {session})"
     who = {"session": session, "robot": agent.name, "text": text, "store": store}

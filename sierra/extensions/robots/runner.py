@@ -25,12 +25,12 @@ from sierra.config.plugin_registry import LINKS
 from sierra.containers.engines.hosts import OtherHost
 from sierra.containers.on_hosts import HostContainer
 from sierra.errors import ConfigError, Missing, SierraError
+from sierra.extensions.hosts.push import content_name, push_content
 from sierra.extensions.robots import agent_start, fitting, results
 from sierra.extensions.robots.agent.software import Software
 from sierra.extensions.robots.agent_link import AgentLink
 from sierra.extensions.robots.agent_messages import Record, as_report
 from sierra.extensions.robots.fleet_table import FleetTable, RobotTable, allocate, check_groups
-from sierra.extensions.robots.push import content_name, push_content
 from sierra.extensions.robots.trial import STOPPED, Late, Part, Trial, each
 from sierra.model import Job, LateFiles, Limits, Member, Result
 from sierra.provenance import environment

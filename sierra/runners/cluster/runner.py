@@ -38,10 +38,10 @@ from sierra.runners.cluster import batch_state, submission_record
 from sierra.runners.cluster.batch_state import Answer, BatchState, Phase, on_poll
 from sierra.runners.cluster.collect import AT_ONCE, Collector, Share, refresh
 from sierra.runners.cluster.preflight_job import Preflight
-from sierra.runners.cluster.shard import deal, deal_first, deal_rest
+from sierra.runners.cluster.shard import deal, deal_first, deal_rest, deal_sized
 from sierra.runners.cluster.sizing import Size, Timing, elements_of, size, timing
 from sierra.runners.cluster.submission_record import Sent, Submission
-from sierra.runners.schedulers.base import NodeVariables, State, Task
+from sierra.runners.schedulers.base import Bounds, Carries, NodeVariables, State, Task
 from sierra.store.layout import SessionPaths
 from sierra.store.segments import disk_errors
 from sierra.util import worker_zip
@@ -80,17 +80,17 @@ class Cluster:
 
     def submit(self, work: Work, session: SessionPaths) -> None:
         bounds, version = self._scheduler.bounds(), self._scheduler.version()
+        if isinstance(self._scheduler, Carries):
+            self._submit_carried(self._scheduler, work, session, version)
+            return
         sized = size(work.count, work.times, self._table, bounds, waits=work.waits)
         estimated = self._table.wall is None and sized.wall_s is not None
         self._table = self._table.model_copy(update={"wall": sized.wall_s})
         past = submission_record.past(session)
         with disk_errors(session.root):
             forget(session)
-            session.results.mkdir()
-            session.logs.mkdir()
             counts, rest = self._deal(work, sized, session)
-            write_whole(session.worker, worker_zip.packed())
-            write_whole(session.element_settings, json.dumps(self._settings(work, session)).encode())
+            self._write_programs(work, session)
         probed = Preflight(self.name, self._table, session).is_needed()
         table = self._table.model_dump(mode="json")
         dealt = (work.batch, counts, dict(work.around), probed, rest)
@@ -103,6 +103,32 @@ class Cluster:
             unknown = "runs with these values were never timed" if work.times else "the duration of runs is not known yet"
             self._note(f"{unknown}: {counted(counts[0], 'run')} of {work.count} {verb(counts[0], 'is', 'are')} executed first")
         self._submit_all()
+
+    def _submit_carried(self, scheduler: Carries, work: Work, session: SessionPaths, version: str) -> None:
+        """Submit to a scheduler that carries files to its hosts, whose number and speed decide on the elements."""
+        past = submission_record.past(session)
+        with disk_errors(session.root):
+            forget(session)
+            self._opened.callback(scheduler.close)
+            scheduler.open(session, work, follows=True)
+            each = work.times.each if work.times else (1.0,) * work.count
+            places = sorted(range(work.count), key=lambda place: -each[place])
+            counts = tuple(scheduler.sizes([each[place] for place in places]))
+            deal_sized(work.jobs, places, counts, session)
+            self._write_programs(work, session)
+        table = self._table.model_dump(mode="json")
+        mean = work.times.mean if work.times else None
+        dealt = (work.batch, counts, dict(work.around), False, 0)
+        submission = Submission(self.name, self._kind, version, table, *dealt, Bounds(), False, None, mean, past)
+        submission.save(session)
+        self._begin(submission, session, {})
+        self._is_own = True
+        self._submit_all()
+
+    def _write_programs(self, work: Work, session: SessionPaths) -> None:
+        """Write the programs of elements, and their settings."""
+        write_whole(session.worker, worker_zip.packed())
+        write_whole(session.element_settings, json.dumps(self._settings(work, session)).encode())
 
     def _deal(self, work: Work, sized: Size, session: SessionPaths) -> tuple[tuple[int, ...], int]:
         """Write the job files; return the number of runs of each element, and the number of runs that are sharded later."""
@@ -136,6 +162,10 @@ class Cluster:
     def resume(self, session: SessionPaths, recorded: Mapping[str, str | None]) -> None:
         submission = Submission.load(session)
         self._table = submission.cluster
+        self._scheduler = schedulers.find(self._kind)(self._table)
+        if isinstance(self._scheduler, Carries):
+            self._opened.callback(self._scheduler.close)
+            self._scheduler.open(session, None, follows=True)
         self._begin(submission, session, recorded)
         if not session.worker.exists():  # another version of SIERRA has submitted it, with programs of other names
             write_whole(session.worker, worker_zip.packed())
@@ -173,6 +203,9 @@ class Cluster:
     def leave(self) -> None:
         if self._stopping is not None or self._session.cancelled.exists():
             return
+        if isinstance(self._scheduler, Carries):
+            self._scheduler.leave()
+            return
         if self._is_own:
             self._note(submission_record.UNFOLLOWED)
         if not self._is_calibrating:
@@ -199,6 +232,8 @@ class Cluster:
                 refresh(self._session.results)
                 for known, more in zip((results, copies), self._read(), strict=True):
                     known += more
+        if isinstance(self._scheduler, Carries):
+            self._notes += self._scheduler.notes()
         notes, self._notes = tuple(self._notes), []
         rows, collector.rows = collector.rows, []
         batch = self._batch
@@ -411,7 +446,8 @@ class Cluster:
         return wall
 
     def _connect(self) -> None:
-        self._scheduler = schedulers.find(self._kind)(self._table)
+        if not isinstance(self._scheduler, Carries):
+            self._scheduler = schedulers.find(self._kind)(self._table)
         self._query: threading.Thread | None = None
         self._answers: list[tuple[str, tuple[Task, ...] | None]] = []
 
@@ -546,8 +582,13 @@ def _look(scheduler: schedulers.Scheduler, name: str, answers: list[tuple[str, t
 
 
 def forget(session: SessionPaths) -> None:
-    """Remove the session's earlier, recorded submission. Since then, other sessions have released more runs."""
+    """Remove the session's earlier, recorded submission, and make empty folders for another one.
+
+    Since then, other sessions have released more runs.
+    """
     session.submission.unlink(missing_ok=True)
     session.cancelled.unlink(missing_ok=True)
     for folder in (session.results, session.logs, session.sent, session.jobs(0).parent):
         remove(str(folder))
+    session.results.mkdir()
+    session.logs.mkdir()

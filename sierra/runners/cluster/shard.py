@@ -53,6 +53,15 @@ def deal_first(jobs: Iterable[Job], first: AbstractSet[int], session: SessionPat
     return shares[0].count, shares[1].count
 
 
+def deal_sized(jobs: Iterable[Job], places: Sequence[int], counts: Sequence[int], session: SessionPaths) -> None:
+    """Write the jobs at the first `counts[0]` of these places to element 0, those at the next ones to element 1, and so on."""
+    shares = [_Share(session.jobs(number)) for number in range(len(counts))]
+    elements = [0] * len(places)
+    for place, element in zip(places, (element for element, count in enumerate(counts) for _ in range(count)), strict=True):
+        elements[place] = element
+    _write(((shares[elements[number]], job) for number, job in enumerate(jobs)), shares, session)
+
+
 def deal_rest(elements: int, begin: int, session: SessionPaths) -> tuple[int, ...]:
     """Write the jobs in `rest` to `elements` elements from `begin` on. May be repeated. Raises Damaged if jobs are missing."""
     shares = [_Share(session.jobs(begin + number)) for number in range(elements)]

@@ -17,7 +17,7 @@ from dataclasses import asdict
 from sierra.config.cluster_table import ClusterTable
 from sierra.errors import ConfigError, Damaged
 from sierra.runners import schedulers
-from sierra.runners.schedulers.base import Bounds, Request, State, Task
+from sierra.runners.schedulers.base import Bounds, Carries, Request, Scheduler, State, Task
 from sierra.store.layout import SessionPaths
 from sierra.store.segments import disk_errors
 from sierra.util.fs import read_record, write_whole
@@ -102,6 +102,14 @@ class Submission:
         except (TypeError, ValueError, LookupError) as error:
             raise Damaged(f"{session.submission}: was written by another version of SIERRA; use that version") from error
         return submission
+
+
+def scheduler_of(submission: Submission, session: SessionPaths) -> Scheduler:
+    """Return the scheduler of a session that another process may follow. Raises ConfigError if it is not installed any more."""
+    scheduler = schedulers.find(submission.scheduler)(submission.cluster)
+    if isinstance(scheduler, Carries):
+        scheduler.open(session, None, follows=False)
+    return scheduler
 
 
 def name_of(session: SessionPaths, what: str = "sierra") -> str:

@@ -178,6 +178,10 @@ class Commands(ABC):
         assert exchange.status is not None  # noqa: S101 - it has ended
         return Ended(exchange.status, bytes(kept[1]), bytes(kept[2]))
 
+    def stream(self, argv: Sequence[str]) -> Exchange:
+        """Start a command with which bytes are exchanged."""
+        return self._exchanged(argv, self._options.lost)
+
     def channel(self, argv: Sequence[str]) -> Lines:
         return Lines(self._exchanged(argv, self._options.lost), self._options.lost)
 

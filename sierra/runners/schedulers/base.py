@@ -13,12 +13,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import ClassVar, Protocol
+from typing import TYPE_CHECKING, ClassVar, Protocol, runtime_checkable
 
 from sierra.config.cluster_table import ClusterTable, check_directives
 from sierra.config.plugin_registry import SCHEDULERS
 from sierra.config.validate import options
+from sierra.store.layout import SessionPaths
 from sierra.util.lazy_definitions import dataclass, field
+
+if TYPE_CHECKING:
+    from sierra.runners.base import Work
 
 NAME_LENGTH = 15
 """Length of the longest job name that all schedulers accept."""
@@ -133,6 +137,8 @@ class NodeVariables:
     """A folder on a disk of the node."""
     end: tuple[str, ...] = ()
     """When the task will be ended, in seconds since 1970."""
+    clock: tuple[str, ...] = ()
+    """The seconds that the node's clock is ahead of the submitting host's; empty: compared with the shared file system's."""
     others: tuple[str, ...] = ()
     """Further variables that are recorded with the allocation."""
 
@@ -140,7 +146,8 @@ class NodeVariables:
 class Scheduler(Protocol):
     """One way to execute elements on a cluster's nodes.
 
-    A class may also have an attribute `node`, its NodeVariables. Without it, nothing is known of what a node gives.
+    A class may also have an attribute `node`, its NodeVariables. Without it, nothing is known of what a node gives. A class
+    whose nodes share no file system with this machine is a `Carries`.
     """
 
     name: str
@@ -211,6 +218,33 @@ class Scheduler(Protocol):
     def cancel(self, name: str, elements: Sequence[int] | None = None) -> None:
         """Cancel the jobs of that name, or only these elements of them. It is idempotent, and there may be no such job."""
         ...
+
+
+@runtime_checkable
+class Carries(Protocol):
+    """A scheduler that itself carries the files of a session to its hosts, and the result logs back.
+
+    Each element is executed with one core. No job checks the nodes first.
+    """
+
+    def open(self, session: SessionPaths, work: Work | None, *, follows: bool) -> None:
+        """Begin to work for a session. It is called before all other methods that have to do with jobs.
+
+        `follows`: this process follows the session. Otherwise, only `look` and `cancel` are called. `work` is None if the
+        session was submitted before. Raises ConfigError, and Missing if no host can be reached.
+        """
+
+    def sizes(self, durations: Sequence[float]) -> Sequence[int]:
+        """Return the numbers of runs of the elements into which runs of these durations (in s) are divided, in this order."""
+
+    def notes(self) -> Sequence[str]:
+        """Return the messages for the user since the last call."""
+
+    def leave(self) -> None:
+        """Let the hosts execute everything that is submitted, also if no process follows."""
+
+    def close(self) -> None:
+        """End the connections. It may be called again."""
 
 
 def find(name: str) -> type[Scheduler]:

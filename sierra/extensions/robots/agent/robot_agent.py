@@ -1,6 +1,6 @@
 """The agent: executes runs on one robot for a driver, and ends them if it hears no more of that driver.
 
-A driver starts it by SSH, from the file that `sierra.extensions.robots.push` has copied to the robot:
+A driver starts it by SSH, from the file that `sierra.extensions.hosts.push` has copied to the robot:
 
     worker.pyz sierra.extensions.robots.agent.robot_agent FOLDER LOCK
 

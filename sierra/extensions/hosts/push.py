@@ -1,4 +1,4 @@
-"""Folders on robots that are named by their content: the programs that execute runs, the code, and files beside inputs."""
+"""Folders on hosts that are named by their content: the programs that execute runs, the code, and files beside inputs."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import tempfile
 from pathlib import Path
 
 from sierra.errors import Missing
-from sierra.extensions.robots import agent
 from sierra.runners.links.base import Link, Unreachable
 from sierra.util import worker_zip
 from sierra.worker import program
@@ -34,7 +33,7 @@ def content_name(folder: Path) -> str:
 
 
 def push_content(link: Link, folder: Path, root: str, kind: str, name: str | None = None) -> str:
-    """Copy a folder, or one with only a file, to `root`/`kind`/NAME on a robot, unless it is there; return that path.
+    """Copy a folder, or one with only a file, to `root`/`kind`/NAME on a host, unless it is there; return that path.
 
     `name` is that of its content, if it is known. No program can change the copy, as far as permissions stop it. A copy that
     was changed nevertheless is replaced. Raises Missing, Unreachable.
@@ -53,8 +52,8 @@ def push_content(link: Link, folder: Path, root: str, kind: str, name: str | Non
     return target
 
 
-def push_programs(link: Link, root: str) -> str:
-    """Copy the programs that execute runs to a robot; return their folder there."""
-    with tempfile.TemporaryDirectory(prefix="sierra-") as made:
-        Path(made, program.NAME).write_bytes(worker_zip.packed(Path(agent.__file__).parent))
-        return push_content(link, Path(made), root, "programs")
+def push_programs(link: Link, root: str, programs: Path) -> str:
+    """Copy the programs that execute runs, and those of an extension in the folder `programs`; return their folder there."""
+    with tempfile.TemporaryDirectory(prefix="sierra-") as folder:
+        Path(folder, program.NAME).write_bytes(worker_zip.packed(programs))
+        return push_content(link, Path(folder), root, "programs")

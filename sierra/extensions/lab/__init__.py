@@ -1,0 +1,1 @@
+"""A lab: computers that are reached over SSH, without a scheduler and without a shared file system."""

@@ -1,0 +1,208 @@
+"""The process that executes the tasks of a session on a host: it needs no connection.
+
+    python3 -I -S worker.pyz sierra.extensions.lab.agent.keeper FOLDER SLOTS
+
+FOLDER is that of the session: see `host_folder`. There is one keeper for each session: another one ends at once. It starts
+tasks in the order of their numbers, each in a slot of the host. Drivers share the slots by locks, which a task inherits, so
+that a slot is free when the last process of its task has ended, also if its keeper was killed before. When the lease is over,
+nobody waits for the results any more: no task is started, and running ones are told to end. Results stay.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from typing import NamedTuple
+
+from sierra.extensions.lab.agent import host_folder
+from sierra.extensions.lab.agent.host_folder import CLAIMED, ENDED, LOGS, QUEUE, RUNNING
+from sierra.worker import program
+from sierra.worker.files import unlink
+from sierra.worker.processes import birth, marked
+
+BUSY_S, IDLE_S = 0.05, 0.5
+ENTRY = "SIERRA_LAB_ENTRY"
+LEASE_OVER = "the host heard nothing from the driver until its lease was over"
+REBOOTED = "the host was restarted"
+LOST = "its process was killed"
+
+
+class Task(NamedTuple):
+    """A task that this process has started."""
+
+    process: subprocess.Popen[bytes]
+    slot: int
+    """The descriptor of the slot's lock."""
+
+
+class Keeper:
+    """The tasks of one session."""
+
+    def __init__(self, folder: str, slots: int) -> None:
+        self._folder = folder
+        self._slots = slots
+        self._locks = os.path.join(os.path.dirname(os.path.dirname(folder)), "slots")
+        self._tasks: dict[str, Task] = {}
+        self._told = False
+        os.makedirs(self._locks, mode=0o700, exist_ok=True)
+        self._adopt()
+
+    def _adopt(self) -> None:
+        """Record the tasks that a keeper has started before it was killed, if it could not record them."""
+        for entry in host_folder.entries(self._folder, CLAIMED):
+            processes = marked([self._mark(entry).encode()])
+            if processes:
+                self._note_start(entry, min(processes, key=lambda pid: birth(pid) or 0))
+                unlink(self._path(CLAIMED, entry))
+            else:
+                os.rename(self._path(CLAIMED, entry), self._path(QUEUE, entry))
+
+    def execute(self) -> None:
+        """Execute tasks until there are none."""
+        pause = BUSY_S
+        while True:
+            ended = [entry for entry, task in self._tasks.items() if task.process.poll() is not None]
+            for entry in ended:
+                self._end(entry)
+            self._end_orphans()
+            waiting = host_folder.entries(self._folder, QUEUE)
+            if self._is_over():
+                self._stop(waiting)
+                waiting = []
+            started = 0
+            while started < len(waiting) and self._start(waiting[started]):
+                started += 1
+            if not (self._tasks or waiting or host_folder.entries(self._folder, RUNNING)):
+                return
+            pause = BUSY_S if ended or started else min(IDLE_S, 1.5 * pause)
+            self._wait(pause)
+
+    def _wait(self, seconds: float) -> None:
+        """Wait for so long, or until a task of this process ends."""
+        give_up = time.monotonic() + seconds
+        while time.monotonic() < give_up and all(task.process.poll() is None for task in self._tasks.values()):
+            time.sleep(BUSY_S)
+
+    def _is_over(self) -> bool:
+        return os.path.exists(os.path.join(self._folder, "cancelled")) or host_folder.lease_is_over(self._folder)
+
+    def _stop(self, waiting: list[str]) -> None:
+        """Start nothing more, and tell running tasks once to end."""
+        for entry in waiting:
+            if self._claim(entry):
+                self._note_end(entry, None, LEASE_OVER)
+                unlink(self._path(CLAIMED, entry))
+        for entry in () if self._told else host_folder.entries(self._folder, RUNNING):
+            process = host_folder.read_record(self._path(RUNNING, entry))
+            if host_folder.is_alive(process):
+                os.kill(process["pid"], signal.SIGTERM)
+        self._told = True
+
+    def _start(self, entry: str) -> bool:
+        """Start a task if a slot is free; return whether one was."""
+        slot = self._free_slot()
+        if slot is None:
+            return False
+        if not self._claim(entry):
+            os.close(slot)
+            return True
+        try:
+            self._tasks[entry] = Task(self._started(entry, slot), slot)
+        except OSError as error:
+            os.close(slot)
+            self._note_end(entry, 3, "%s: %s" % (os.uname().nodename, error.strerror))
+        unlink(self._path(CLAIMED, entry))
+        return True
+
+    def _claim(self, entry: str) -> bool:
+        """Take a task from the queue; return False if the driver has taken it back."""
+        try:
+            os.rename(self._path(QUEUE, entry), self._path(CLAIMED, entry))
+        except FileNotFoundError:
+            return False
+        return True
+
+    def _free_slot(self) -> int | None:
+        """Return the lock of a slot of this host that nobody has; None if there is none."""
+        for number in range(self._slots):
+            slot = host_folder.lock(os.path.join(self._locks, str(number)))
+            if slot is not None:
+                return slot
+        return None
+
+    def _started(self, entry: str, slot: int) -> subprocess.Popen[bytes]:
+        """Start a task that was claimed, and record its process. Raises OSError."""
+        asked = host_folder.read_record(self._path(CLAIMED, entry))
+        argv = [sys.executable, "-I", "-S", program.PROGRAM, "array_task", self._folder, entry.partition(".")[2]]
+        variables = {"SIERRA_LAB_%s" % name.upper(): str(asked.get(name, "")) for name in ("task", "job", "host", "clock")}
+        variables[ENTRY] = self._mark(entry).partition("=")[2]
+        with open(self._path(LOGS, entry + ".out"), "ab") as log:
+            process = subprocess.Popen(
+                argv,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                env={**os.environ, **variables},
+                pass_fds=(slot,),
+                start_new_session=True,
+            )
+        try:
+            self._note_start(entry, process.pid)
+        except OSError:
+            process.kill()
+            process.wait()
+            raise
+        return process
+
+    def _mark(self, entry: str) -> str:
+        """Return the variable that tells the processes of a task, as NAME=value."""
+        return "%s=%s/%s" % (ENTRY, self._folder, entry)
+
+    def _note_start(self, entry: str, pid: int) -> None:
+        record = {"pid": pid, "born": birth(pid), "boot": host_folder.boot_id()}
+        host_folder.write_record(self._path(RUNNING, entry), record)
+
+    def _end(self, entry: str) -> None:
+        """Record the end of a task that this process has started."""
+        task = self._tasks.pop(entry)
+        status = task.process.wait()
+        os.close(task.slot)
+        self._note_end(entry, status, "signal %d" % -status if status < 0 else LEASE_OVER if self._told else "")
+        unlink(self._path(RUNNING, entry))
+
+    def _end_orphans(self) -> None:
+        """Record the ends of tasks that an earlier keeper has started."""
+        for entry in host_folder.entries(self._folder, RUNNING):
+            if entry in self._tasks:
+                continue
+            process = host_folder.read_record(self._path(RUNNING, entry))
+            if not host_folder.is_alive(process):
+                reason = LOST if process.get("boot") == host_folder.boot_id() else REBOOTED
+                self._note_end(entry, None, reason)
+                unlink(self._path(RUNNING, entry))
+
+    def _note_end(self, entry: str, status: int | None, reason: str) -> None:
+        """Record the end of a task. If the disk is full, the driver learns it from the front, which records nothing."""
+        try:
+            host_folder.write_record(self._path(ENDED, entry), {"status": status, "reason": reason})
+        except OSError as error:
+            os.write(2, ("keeper: %s\n" % error).encode("utf-8", "backslashreplace"))
+
+    def _path(self, kind: str, name: str) -> str:
+        return os.path.join(self._folder, kind, name)
+
+
+def main(arguments: list[str]) -> int:
+    folder, slots = os.path.abspath(arguments[0]), int(arguments[1])
+    for number in (signal.SIGHUP, signal.SIGINT, signal.SIGPIPE):
+        signal.signal(number, signal.SIG_IGN)
+    if os.fork():  # so that it is nobody's child, and in no session of a login
+        os._exit(0)
+    os.setsid()
+    own = host_folder.lock(os.path.join(folder, "keeper"))
+    if own is not None:
+        Keeper(folder, slots).execute()
+    return 0

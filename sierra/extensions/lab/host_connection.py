@@ -1,0 +1,223 @@
+"""The driver's connection to one host: it is made again when it is lost, until the session ends."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import queue
+import threading
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from sierra.config.plugin_registry import LINKS
+from sierra.errors import Missing, SierraError
+from sierra.extensions.hosts.clock import Clock, measured
+from sierra.extensions.hosts.push import push_content, push_programs
+from sierra.extensions.lab import agent
+from sierra.extensions.lab.agent import front, host_folder
+from sierra.extensions.lab.agent.host_folder import Record
+from sierra.extensions.lab.lab_table import Host, LabTable
+from sierra.runners.links.base import Overdue, Unreachable, UntrustedHost
+from sierra.runners.links.commands import Commands, Exchange
+from sierra.util.lazy_logger import Log
+from sierra.worker import program
+
+log = Log(__name__)
+LOST_S = 8.0
+"""The seconds without a sign of life after which a connection counts as lost. A host sends one each second."""
+BEAT_S = 2.0
+AGAIN_S, LATER_S = 1.0, 30.0
+"""The shortest and longest pause before a lost connection is made again."""
+LONGEST_LINE = 16 << 20
+LONGEST_PART = 16 << 20
+OLD_PYTHON = "import sys; sys.exit(sys.version_info < (3, 8))"
+FRONT = front.__name__
+
+
+class Unusable(Missing):
+    """A host that cannot execute runs, whatever is tried again."""
+
+
+class HostConnection:
+    """One host of a lab. Its thread connects, and passes each event of the host to `handle`."""
+
+    def __init__(
+        self,
+        host: Host,
+        table: LabTable,
+        links: Mapping[str, Mapping[str, Any]],
+        session: str,
+        contents: Mapping[str, tuple[str, Path]],
+        have: Callable[[], Mapping[str, int]],
+        handle: Callable[[HostConnection, Record, bytes], None],
+    ) -> None:
+        """`session` names the folder of the session there. `contents` are folders to copy there: kind and path by their use.
+
+        `have` returns the bytes of each result log that this machine has. `handle` is called by this thread, for the events of
+        the host and for those of the connection: `connected` and `lost`, with the reason.
+        """
+        self.host = host
+        self.name = host.name
+        self.cores = 0
+        self.clock: Clock | None = None
+        self.folder = ""
+        """The absolute path of the session's folder there."""
+        self.places: dict[str, str] = {}
+        """The absolute paths of the copied folders there, by their use."""
+        self.heard = host_folder.now()
+        """When something came from the host, in seconds since boot, in which a suspended computer also counts."""
+        self.connected = False
+        self._table, self._session, self._contents = table, session, contents
+        self._have, self._handle = have, handle
+        kind = table.link
+        self._link = LINKS.make(kind, {kind: {**links.get(kind, {}), **table.link_options}}, host.name)
+        if not isinstance(self._link, Commands):
+            raise Missing(f"link {kind!r} cannot carry files for a lab; use openssh or fabric")
+        self._link.python = table.python
+        self._closing = threading.Event()
+        self._outgoing: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+        self._exchange: Exchange | None = None
+        self._pieces = b""
+
+    def start(self) -> None:
+        threading.Thread(target=self._run, daemon=True).start()
+
+    def _run(self) -> None:
+        pause = AGAIN_S
+        while not self._closing.is_set():
+            try:
+                self._serve()
+                pause = AGAIN_S
+            except (UntrustedHost, Unusable) as error:
+                self._lost(str(error), again=False)
+                return
+            except SierraError as error:
+                pause = AGAIN_S if self.connected else min(LATER_S, 2 * pause)
+                self._lost(str(error), again=True)
+            self._closing.wait(pause)
+
+    def _lost(self, reason: str, *, again: bool) -> None:
+        self.connected = False
+        if not self._closing.is_set():
+            about = reason.removeprefix(f"{self.name}: ")
+            self._handle(self, {"event": "lost" if again else "unusable", "reason": about}, b"")
+
+    def send(self, do: str, content: bytes = b"", **fields: Any) -> None:
+        """Send a request, if there is a connection. Otherwise it is dropped: see `Lab` for what is sent again."""
+        size = {"size": len(content)} if content else {}
+        self._outgoing.put(json.dumps({"do": do, **fields, **size}).encode() + b"\n" + content)
+
+    def close(self) -> None:
+        self._closing.set()
+        self._outgoing.put(None)
+        if self._exchange is not None:
+            self._exchange.close()
+        self._link.close()
+
+    def _serve(self) -> None:
+        """Connect, and pass on events until the connection is lost. Raises SierraError."""
+        programs = self._prepare()
+        self._pieces = b""
+        argv = (self._table.python, "-I", "-S", "-B", f"{programs}/{program.NAME}", FRONT, self.folder)
+        self._exchange = exchange = self._link.stream(argv)
+        try:
+            slots, lease = self.host.slots, self._table.lease
+            exchange.send(_line("hello", slots=slots, lease=lease, have=self._have()), LOST_S)
+            while (hello := self._next(exchange)[0])["event"] != "hello":
+                """The first sign of life may come before the answer."""
+            self.cores = int(hello["cores"])
+            early: list[tuple[Record, bytes]] = []
+            self.clock = measured(lambda: self._ask_clock(exchange, early), time.time_ns)
+            self._outgoing = queue.SimpleQueue()
+            sender = threading.Thread(target=self._send_all, args=(exchange, self._outgoing), daemon=True)
+            sender.start()
+            self.connected = True
+            for event in ({"event": "connected"}, b""), *early:
+                self._handle(self, *event)
+            while not self._closing.is_set():
+                self._handle(self, *self._next(exchange))
+        except (KeyError, TypeError, ValueError) as error:
+            raise Missing(f"{self.name}: it sends what is not in the protocol: {error}") from error
+        finally:
+            self._outgoing.put(None)
+            with contextlib.suppress(OSError, EOFError, SierraError):
+                exchange.close()
+
+    def _prepare(self) -> str:
+        """Copy what the session needs to the host, unless it is there; return the folder of the programs."""
+        link, root = self._link, self._table.folder.removeprefix("~/")
+        if link.run((self._table.python, "-c", OLD_PYTHON)).status != 0:
+            raise Unusable(f"{self.name}: needs Python 3.8 or newer as {self._table.python!r}; set python in the lab's table")
+        programs = push_programs(link, root, Path(agent.__file__).parent)
+        places = {use: push_content(link, path, root, kind) for use, (kind, path) in self._contents.items()}
+        home = link.run(("pwd",)).stdout.decode(errors="replace").rstrip("\n")
+        absolute = {use: place if place.startswith("/") else f"{home}/{place}" for use, place in places.items()}
+        self.places = absolute
+        self.folder = f"{root if root.startswith('/') else f'{home}/{root}'}/sessions/{self._session}"
+        return programs
+
+    def _ask_clock(self, exchange: Exchange, early: list[tuple[Record, bytes]]) -> int:
+        """Return the host's clock in ns; other events that come meanwhile are kept."""
+        exchange.send(_line("clock"), LOST_S)
+        while True:
+            event, content = self._next(exchange)
+            if event["event"] == "clock":
+                return int(event["wall"])
+            early.append((event, content))
+
+    def _next(self, exchange: Exchange) -> tuple[Record, bytes]:
+        """Return the next event of the host. Raises Unreachable."""
+        while (end := self._pieces.find(b"\n")) < 0:
+            self._receive(exchange, LONGEST_LINE)
+        event = json.loads(self._pieces[:end])
+        if not isinstance(event, dict) or not isinstance(event.get("event"), str):
+            raise ValueError("no event")
+        size = int(event.get("size", 0))
+        if not 0 <= size <= LONGEST_PART:
+            raise ValueError(f"a part of {size} bytes")
+        parts, length = [self._pieces[end + 1 :]], len(self._pieces) - end - 1
+        while length < size:
+            self._pieces = b""
+            self._receive(exchange, LONGEST_PART)
+            parts.append(self._pieces)
+            length += len(self._pieces)
+        content = b"".join(parts)
+        self._pieces = content[size:]
+        return event, content[:size]
+
+    def _receive(self, exchange: Exchange, most: int) -> None:
+        if len(self._pieces) > most:
+            raise ValueError("a line that is too long")
+        try:
+            piece = exchange.read(LOST_S)
+        except TimeoutError:
+            raise Overdue(f"{self.name}: no sign of life for {LOST_S:g} s") from None
+        if piece is None:
+            raise Unreachable(f"{self.name}: its program has ended (status {exchange.status})")
+        self.heard = host_folder.now()
+        if piece[0] == 1:
+            self._pieces += piece[1]
+        else:
+            log.debug("%s: %s", self.name, piece[1].decode(errors="replace").strip())
+
+    def _send_all(self, exchange: Exchange, outgoing: queue.SimpleQueue[bytes | None]) -> None:
+        """Send the requests, and a beat whenever there is none for some time."""
+        try:
+            while True:
+                try:
+                    data = outgoing.get(timeout=BEAT_S)
+                except queue.Empty:
+                    data = _line("beat")
+                if data is None:
+                    return
+                exchange.send(data, LOST_S)
+        except (OSError, SierraError) as error:
+            log.debug("%s: %s", self.name, error)
+            with contextlib.suppress(OSError, EOFError, SierraError):
+                exchange.close()
+
+
+def _line(do: str, **fields: Any) -> bytes:
+    return json.dumps({"do": do, **fields}).encode() + b"\n"

@@ -1,0 +1,487 @@
+"""The scheduler `lab`: hosts over SSH, without a scheduler and without a shared file system.
+
+The runner of clusters divides a batch into elements and reads their result logs. This scheduler deals the elements to hosts,
+carries their files there, and carries the result logs back while they grow. Each host takes a new element when one has ended,
+so a fast one takes more. The processes on a host need no connection (see `agent.keeper`): if it is lost, they go on for the
+time of the lease. Then they end, and this side lets their elements be submitted again. Which element is where is written down
+before a host hears of it, so that a process that takes the session over finds all of them.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from textwrap import shorten
+from typing import Any, ClassVar, cast
+
+from sierra.config.cluster_table import ClusterTable
+from sierra.errors import ConfigError, Damaged, Missing, SierraError
+from sierra.extensions.lab import carried_files
+from sierra.extensions.lab.agent import host_folder
+from sierra.extensions.lab.agent.host_folder import Record
+from sierra.extensions.lab.carried_files import Paths, ResultLogs
+from sierra.extensions.lab.host_connection import HostConnection
+from sierra.extensions.lab.lab_table import Host, LabTable, sizes
+from sierra.extensions.lab.tasks import LabTask, Links, Stage, Tasks, deal, to_withdraw
+from sierra.runners.base import Work
+from sierra.runners.schedulers.base import Bounds, NodeVariables, Request, State, Task
+from sierra.store.layout import SessionPaths
+from sierra.util.lazy_definitions import dataclass, field
+from sierra.util.lazy_logger import Log
+from sierra.util.text import few
+
+log = Log(__name__)
+TICK_S = 1.0
+REASON = 200
+"""The most characters of the reason of each host in one message."""
+MARGIN_S = 30.0
+"""The seconds after the end of a lease in which a host ends its runs."""
+BEGIN_S = 60.0
+"""The seconds in which hosts must be ready, if others are."""
+FIRST_S = 8.0
+"""The seconds after which hosts that are not ready are waited for no longer, if one is."""
+REMOVE_S = 3.0
+TROUBLE = 3
+"""The exit status of a task that could not execute runs on its host."""
+STATES = {Stage.WAITING: State.QUEUED, Stage.SENT: State.QUEUED, Stage.RUNNING: State.RUNNING, Stage.ENDED: State.ENDED}
+
+
+@dataclass(slots=True)
+class LabHost:
+    """A host, as it is known in this process."""
+
+    connection: HostConnection
+    unusable: str = ""
+    """Why no runs are executed there any more; empty if they are."""
+    lost: str = ""
+    """Why there is no connection; empty if there is one, or was none yet."""
+    leaves: bool = False
+    """True if it is not listed any more: it executes what it has begun."""
+    resends: bool = True
+    """True until the first state that it sends over a connection."""
+    seen: set[str] = field(default_factory=set)
+    """The entries that it has sent in a state."""
+    has_settings: bool = False
+    removed: bool = False
+
+    @property
+    def slots(self) -> int:
+        return self.connection.host.slots or self.connection.cores
+
+    @property
+    def is_ready(self) -> bool:
+        return self.connection.connected and not (self.unusable or self.leaves)
+
+
+class Lab:
+    """The scheduler `lab`."""
+
+    name = "lab"
+    Options: ClassVar[type[ClusterTable]] = LabTable
+    node: ClassVar[NodeVariables] = NodeVariables(
+        task=("{SIERRA_LAB_TASK}",), job=("{SIERRA_LAB_JOB}",), host=("{SIERRA_LAB_HOST}",), clock=("{SIERRA_LAB_CLOCK}",)
+    )
+    requeue = ()
+    forgets = False
+
+    def __init__(self, table: ClusterTable) -> None:
+        assert isinstance(table, LabTable)  # noqa: S101 - it is of `Options`
+        self._table = table
+        self._hosts: dict[str, LabHost] = {}
+        self._tasks: Tasks | None = None
+        self._notes: list[str] = []
+        self._changed = threading.Condition(threading.RLock())
+        self._withdrawing: set[str] = set()
+        self._listed: object = None
+        self._follows = self._closed = False
+
+    @staticmethod
+    def refuses(line: str) -> str | None:
+        return "a lab has no scheduler"
+
+    def version(self) -> str:
+        return "lab"
+
+    def bounds(self) -> Bounds:
+        return Bounds()
+
+    def script(self, request: Request) -> str:
+        command = " ".join(("python3", "worker.pyz", "array_task", "FOLDER", "INDEX"))
+        return "".join(f"{host.name}: {host.slots or 'cores'} at a time: {command}\n" for host in self._table.listed().values())
+
+    def explain(self, words: str) -> str:
+        return words
+
+    def open(self, session: SessionPaths, work: Work | None, *, follows: bool) -> None:
+        self._session, self._follows = session, follows
+        if work is not None:
+            session.carried.unlink(missing_ok=True)
+        self._tasks = tasks = Tasks.load(session)
+        if not follows:
+            return
+        self._logs = ResultLogs(session)
+        if work is not None:
+            tasks.code, tasks.links = str(work.code or ""), cast(Links, work.links)
+        tasks.without_end = False
+        listed = self._table.listed()
+        with self._changed:
+            for host in (*listed.values(), *(Host(task.host, None) for task in tasks.alive() if task.host)):
+                self._connect(host, leaves=host.name not in listed)
+        threading.Thread(target=self._tick, daemon=True).start()
+        if work is not None:
+            self._wait_for_hosts()
+
+    def _connect(self, host: Host, *, leaves: bool = False) -> None:
+        """Begin to connect to a host, unless this was done."""
+        assert self._tasks is not None  # noqa: S101 - the session is open
+        if host.name in self._hosts:
+            self._hosts[host.name].leaves = leaves
+            return
+        contents = {"code": ("code", Path(self._tasks.code))} if self._tasks.code else {}
+        if self._session.shared.is_dir():
+            contents["beside"] = ("files", self._session.shared)
+        name, links = self._session.root.name, self._tasks.links
+        connection = HostConnection(host, self._table, links, name, contents, self._have, self._handle)
+        self._hosts[host.name] = LabHost(connection, leaves=leaves)
+        connection.start()
+
+    def _wait_for_hosts(self) -> None:
+        """Wait until hosts are ready. Raises Missing if none is."""
+        began = time.monotonic()
+        with self._changed:
+            while not self._closed:
+                undecided = [host for host in self._hosts.values() if not (host.is_ready or host.unusable or host.lost)]
+                is_ready = any(host.is_ready for host in self._hosts.values())
+                if not undecided or time.monotonic() - began > (FIRST_S if is_ready else BEGIN_S):
+                    break
+                self._changed.wait(0.2)
+        if not is_ready:
+            self.close()
+            why = {name: host.unusable or host.lost or "does not answer" for name, host in self._hosts.items()}
+            raise Missing(f"no host of the lab can be used: {few([f'{name}: {reason}' for name, reason in why.items()], 3)}")
+
+    def sizes(self, durations: Sequence[float]) -> Sequence[int]:
+        with self._changed:
+            return sizes(durations, max(1, sum(host.slots for host in self._hosts.values() if host.is_ready)))
+
+    def submit(self, request: Request) -> str:
+        with self._changed:
+            assert self._tasks is not None  # noqa: S101 - the session is open
+            job = self._tasks.submit(request.elements)
+            self._tasks.save()
+            self._dispatch()
+        return job
+
+    def look(self, name: str) -> tuple[Task, ...]:
+        with self._changed:
+            tasks = self._tasks if self._follows else Tasks.load(self._session)
+            assert tasks is not None  # noqa: S101 - the session is open
+            never = self._never() if self._follows else ""
+            return tuple(self._reported(task, never) for task in tasks.all)
+
+    def _reported(self, task: LabTask, never: str) -> Task:
+        state = State.STUCK if never and task.stage is Stage.WAITING else STATES[task.stage]
+        cancelled = task.ours if task.stage is Stage.ENDED else None
+        waits = {Stage.WAITING: "no host is free", Stage.SENT: "its host is busy"}.get(task.stage, "")
+        reason = never if state is State.STUCK else task.reason or waits
+        return Task(task.job, task.element, state, reason, task.host, cancelled)
+
+    def _never(self) -> str:
+        """Return why no host will ever execute what waits; empty if one may."""
+        hosts = {name: host for name, host in self._hosts.items() if not host.leaves}
+        if any(not host.unusable for host in hosts.values()):
+            return ""
+        reasons = [f"{name}: {shorten(host.unusable, REASON)}" for name, host in hosts.items()]
+        return f"no host is left: {few(reasons or ['none is listed'], 3)}"
+
+    def cancel(self, name: str, elements: Sequence[int] | None = None) -> None:
+        if not self._follows:
+            self._session.cancelled.touch()
+            return
+        with self._changed:
+            assert self._tasks is not None  # noqa: S101 - the session is open
+            for task in self._tasks.alive():
+                if elements is None or task.element in elements:
+                    self._end(task)
+            if elements is None:
+                self._tell_all("cancel")
+            self._tasks.save()
+
+    def _end(self, task: LabTask) -> None:
+        """Let a task end because this project does not need it any more."""
+        task.ours = True
+        host = self._hosts.get(task.host)
+        if task.stage is Stage.WAITING or host is None or not host.connection.connected:
+            task.stage, task.reason = Stage.ENDED, "cancelled"
+        else:
+            host.connection.send("withdraw", entry=task.entry)
+            host.connection.send("end", entry=task.entry)
+
+    def _tell_all(self, do: str, **fields: Any) -> None:
+        for host in self._hosts.values():
+            if host.connection.connected:
+                host.connection.send(do, **fields)
+
+    def notes(self) -> Sequence[str]:
+        with self._changed:
+            notes, self._notes = self._notes, []
+            return notes
+
+    def leave(self) -> None:
+        with self._changed:
+            assert self._tasks is not None  # noqa: S101 - the session is open
+            self._tasks.without_end = True
+            self._tell_all("lease", seconds=None)
+            self._dispatch()
+            give_up = time.monotonic() + FIRST_S
+            while time.monotonic() < give_up and any(task.entry not in self._seen(task) for task in self._sent()):
+                self._changed.wait(0.2)
+
+    def _sent(self) -> list[LabTask]:
+        assert self._tasks is not None  # noqa: S101 - the session is open
+        return [task for task in self._tasks.alive() if task.host in self._hosts]
+
+    def _seen(self, task: LabTask) -> set[str]:
+        return self._hosts[task.host].seen
+
+    def close(self) -> None:
+        """End the connections; if everything has ended, the hosts forget the session first."""
+        with self._changed:
+            if self._closed:
+                return
+            if self._tasks is not None and self._tasks.all and not self._tasks.alive():
+                self._tell_all("remove")
+                give_up = time.monotonic() + REMOVE_S
+                while time.monotonic() < give_up and any(
+                    host.connection.connected and not host.removed for host in self._hosts.values()
+                ):
+                    self._changed.wait(0.1)
+            self._closed = True
+            hosts = list(self._hosts.values())
+        for host in hosts:
+            host.connection.close()
+
+    # ---------------------------------------------------------------- in the threads of connections
+
+    def _have(self) -> Mapping[str, int]:
+        with self._changed:
+            return self._logs.have()
+
+    def _handle(self, connection: HostConnection, event: Record, content: bytes) -> None:
+        """Take in an event of a host, or of the connection to it. Raises Missing if the disk is full, and Damaged."""
+        with self._changed:
+            if self._closed and event["event"] != "removed":
+                return
+            host = self._hosts[connection.name]
+            match event["event"]:
+                case "connected":
+                    self._on_connection(host)
+                case "state":
+                    self._on_state(host, event)
+                case "log":
+                    self._check_log(event)
+                    self._logs.add(event["name"], int(event["at"]), content)
+                    return
+                case "cut":
+                    self._check_log(event)
+                    self._logs.cut(event["name"], int(event["at"]))
+                case "withdrawn":
+                    self._on_withdrawal(host, str(event["entry"]))
+                case "trouble":
+                    self._put_aside(host, str(event["reason"]))
+                case "unusable":
+                    self._put_aside(host, str(event["reason"]))
+                case "lost":
+                    self._on_loss(host, str(event["reason"]))
+                case "removed":
+                    host.removed = True
+                case _:
+                    return
+            self._dispatch()
+            self._changed.notify_all()
+
+    def _check_log(self, event: Record) -> None:
+        assert self._tasks is not None  # noqa: S101 - the session is open
+        index = carried_files.index_of(event)
+        if all(task.element != index for task in self._tasks.all):
+            raise Damaged(f"a host sends results of array task {index}, which the session does not have")
+
+    def _on_connection(self, host: LabHost) -> None:
+        if host.lost:
+            self._note(f"{host.connection.name}: is connected again")
+        host.lost, host.resends, host.has_settings = "", True, False
+
+    def _on_state(self, host: LabHost, event: Record) -> None:
+        """Take in the state of the tasks on a host; what it does not know of a lost connection is sent again."""
+        assert self._tasks is not None  # noqa: S101 - the session is open
+        queued, running, ended = event["queued"], event["running"], event["ended"]
+        name = host.connection.name
+        for task in list(self._tasks.on(name)):
+            if task.entry in ended:
+                self._on_end(host, task, *ended[task.entry])
+            elif task.entry in running:
+                task.stage = Stage.RUNNING
+            elif task.entry in host.seen and task.entry not in queued:
+                task.stage, task.reason = Stage.ENDED, f"{name} has no record of its end (is its disk full?)"
+            elif task.entry not in queued and host.resends:
+                self._send(host, task)
+        host.resends = False
+        host.seen |= {*queued, *running, *ended}
+        own = {task.entry for task in self._tasks.on(name)}
+        for entry in (*queued, *running):
+            if entry not in own and entry not in ended:  # it was given up, or the driver has taken it back
+                host.connection.send("withdraw", entry=entry)
+                host.connection.send("end", entry=entry)
+        self._withdrawing -= {*running, *ended}
+
+    def _on_end(self, host: LabHost, task: LabTask, status: int | None, reason: str, line: str) -> None:
+        """Take in that a task has ended. If its host could not execute it, another one does."""
+        assert self._tasks is not None  # noqa: S101 - the session is open
+        job, name = task.job, host.connection.name
+        if line:
+            (self._session.logs / f"{job}_{task.element}.out").write_text(f"{line}\n", "utf-8")
+        if status == TROUBLE and not task.ours:
+            said = line.removeprefix("array task: ").removeprefix(f"{name}: ")
+            self._put_aside(host, said or reason or "its programs cannot start")
+            self._tasks.take_back(task)
+        else:
+            task.stage, task.reason = Stage.ENDED, f"{name}: {reason}" if reason else ""
+        self._tasks.save()
+
+    def _on_withdrawal(self, host: LabHost, entry: str) -> None:
+        assert self._tasks is not None  # noqa: S101 - the session is open
+        self._withdrawing.discard(entry)
+        host.seen.discard(entry)
+        task = self._tasks.entry(entry)
+        if task is None or task.stage is not Stage.SENT:
+            return
+        if task.ours:
+            task.stage, task.reason = Stage.ENDED, "cancelled"
+        else:
+            self._tasks.take_back(task)
+        self._tasks.save()
+
+    def _on_loss(self, host: LabHost, reason: str) -> None:
+        """Take in that there is no connection to a host, after one more attempt to connect."""
+        name = host.connection.name
+        if not host.lost:
+            self._note(f"{name}: {reason}; SIERRA tries again, and other hosts go on")
+        host.lost = reason
+        self._give_up(host)
+
+    def _give_up(self, host: LabHost) -> None:
+        """Let the tasks of a host be submitted again when its lease is over."""
+        assert self._tasks is not None  # noqa: S101 - the session is open
+        silent = host_folder.now() - host.connection.heard
+        tasks = list(self._tasks.on(host.connection.name))
+        if host.connection.connected or not tasks or silent < self._table.lease + MARGIN_S:
+            return
+        for task in tasks:
+            task.stage = Stage.ENDED
+            task.reason = f"node {host.connection.name} was lost: no connection for {silent:.0f} s"
+        self._tasks.save()
+
+    def _put_aside(self, host: LabHost, reason: str) -> None:
+        """Send no more tasks to a host, and take back what it has not begun. Its results are still fetched."""
+        assert self._tasks is not None  # noqa: S101 - the session is open
+        if host.unusable:
+            return
+        host.unusable = reason
+        self._note(f"{host.connection.name} is not used any more: {reason}")
+        self._withdraw_all(host)
+
+    def _withdraw_all(self, host: LabHost) -> None:
+        assert self._tasks is not None  # noqa: S101 - the session is open
+        for task in self._tasks.on(host.connection.name):
+            if task.stage is Stage.SENT:
+                host.connection.send("withdraw", entry=task.entry)
+
+    # ---------------------------------------------------------------- dealing
+
+    def _dispatch(self) -> None:
+        """Send waiting tasks to hosts that have room. Raises Missing if the disk is full."""
+        assert self._tasks is not None  # noqa: S101 - the session is open
+        if self._session.cancelled.exists():
+            return
+        slots = {name: host.slots for name, host in self._hosts.items() if host.is_ready and not host.resends}
+        dealt = deal(self._tasks, slots)
+        if dealt:
+            self._tasks.save()
+        for task in dealt:
+            self._send(self._hosts[task.host], task)
+        waits = to_withdraw(self._tasks, slots)
+        if waits is not None and waits.entry not in self._withdrawing:
+            self._withdrawing.add(waits.entry)
+            self._hosts[waits.host].connection.send("withdraw", entry=waits.entry)
+
+    def _send(self, host: LabHost, task: LabTask) -> None:
+        """Send a task to its host, with its files."""
+        connection, session, index = host.connection, self._session, task.element
+        paths = self._paths(connection)
+        if not host.has_settings:
+            connection.send("file", carried_files.settings(session, paths), name="element.json")
+            host.has_settings = True
+        connection.send("file", carried_files.jobs(session, index, paths), name=f"elements/{index}.jobs")
+        connection.send("file", carried_files.not_to_start(session, index), name=f"elements/{index}.failed")
+        alone = session.alone(index).read_bytes() if session.alone(index).exists() else b""
+        connection.send("file", alone, name=f"elements/{index}.alone")
+        clock = connection.clock.offset_ns / 1e9 if connection.clock else 0.0
+        job = f"{task.job}-{task.entry.partition('.')[0]}"
+        name, offset = connection.name, f"{clock:.6f}"
+        connection.send("queue", entry=task.entry, task=f"{task.job}_{index}", job=job, host=name, clock=offset)
+
+    def _paths(self, connection: HostConnection) -> Paths:
+        """Return the paths on a host of what jobs name."""
+        assert self._tasks is not None  # noqa: S101 - the session is open
+        folder, session = connection.folder, self._session
+        paths = {str(session.root.parent.parent): str(Path(folder).parents[1]), str(session.root): folder}
+        own = {"code": self._tasks.code, "beside": str(session.shared)}
+        return Paths(paths | {own[use]: path for use, path in connection.places.items()})
+
+    def _tick(self) -> None:
+        """Notice hosts that are listed or not any more, and leases that are over."""
+        while not self._closed:
+            time.sleep(TICK_S)
+            with self._changed:
+                try:
+                    self._look_after_hosts()
+                except SierraError as error:
+                    self._note(str(error))
+
+    def _look_after_hosts(self) -> None:
+        if not self._closed:
+            self._read_list()
+            for host in self._hosts.values():
+                if host.unusable:
+                    self._give_up(host)
+            self._dispatch()
+
+    def _read_list(self) -> None:
+        """Use the hosts that were added to the file of hosts, and no more those that were removed."""
+        if self._table.file is None:
+            return
+        try:
+            listed = self._table.listed()
+        except ConfigError as error:
+            self._note(f"{error}; the hosts stay as they were")
+            return
+        if self._listed in (None, listed):
+            self._listed = listed
+            return
+        self._listed = listed
+        for host in listed.values():
+            if host.name not in self._hosts:
+                self._note(f"{host.name}: is listed now, and used")
+            self._connect(host)
+        for name, known in self._hosts.items():
+            if name not in listed and not known.leaves:
+                self._note(f"{name}: is not listed any more; it ends what it has begun")
+                known.leaves = True
+                self._withdraw_all(known)
+
+    def _note(self, text: str) -> None:
+        log.info("%s", text)
+        if text not in self._notes:
+            self._notes.append(text)
