@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, Self
@@ -39,8 +38,8 @@ class LabTable(ClusterTable):
 
     hosts: tuple[Line, ...] = Field(
         (),
-        description="the hosts, as in `ssh NAME`, each with its number of runs at a time: `pc1` (one for each core), `pc2:8`, or "
-        "`8/user@pc2:22`",
+        description="the hosts, as in `ssh NAME`, each with its number of runs at a time: `pc1` (one for each core), "
+        "`pc2:8`, or `8/user@pc2:22`",
         examples=[["pc1", "pc2:8"]],
     )
     hosts_file: Line | None = Field(
@@ -86,7 +85,7 @@ class LabTable(ClusterTable):
         """The path of the file with hosts."""
         if self.hosts_file is None:
             return None
-        path = Path(os.path.expanduser(self.hosts_file))
+        path = Path(self.hosts_file).expanduser()
         return path if path.is_absolute() else find_project.find_store(Path()).root / path
 
     def _in_file(self) -> Iterator[Host]:
