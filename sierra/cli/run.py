@@ -451,7 +451,7 @@ def _lines(proposal: Estimate) -> Iterator[str]:
 
     tasks, runs = counted(proposal.array_tasks, "array task"), counted(proposal.longest, "run")
     cores = counted(proposal.cpus, "core")
-    wall = "the site's default time" if proposal.wall_s is None else duration(proposal.wall_s)
+    wall = "the default time" if proposal.wall_s is None else duration(proposal.wall_s)
     yield f"on {proposal.runner} ({proposal.scheduler}): {tasks} of up to {runs}, each {cores} for {wall}"
     most = "" if proposal.most_core_hours is None else f", at most {proposal.most_core_hours:.3g} (the requested time)"
     if proposal.core_hours is None:

@@ -143,6 +143,14 @@ class Isolation:
         return {"engine": self.engine.name, "isolation": self.row, "shared": self.box.shared, "enforced": enforced}
 
     @property
+    def files(self) -> tuple[Path, ...]:
+        """Return the files and folders that the commands of containers name: the image, if it is a file, and mounts."""
+        if self.box is None:
+            return ()
+        paths = (self.box.reference, *(mount.source for mount in self.box.mounts if mount.target != PROJECT))
+        return tuple(Path(path) for path in paths if os.path.isabs(path))
+
+    @property
     def needed(self) -> tuple[Requirement, ...]:
         """Return what every executing host must have: the devices, and the image if it is a file."""
         if self.box is None:

@@ -184,6 +184,7 @@ class JobService:
             self._setup.root,
             ownership_marks.identity(self._store.paths),
             self._hosts,
+            self.isolation.files,
             self._setup.project.config.links,
         )
         recorder = Recorder(self._store, self._session.paths, context, kept, doubt)

@@ -50,6 +50,8 @@ class Work:
     """The id of the store to which results go: robots keep files for it."""
     containers: HostContainers | None = None
     """The containers in which robots execute runs; None without containers."""
+    files: tuple[Path, ...] = ()
+    """Files and folders that jobs name beside the code, for hosts that share no file system: the image, and mounts."""
     links: Tables = field(default_factory=dict)
     """The options of links to hosts, as `[links.NAME]` has them, for runners that reach hosts by a link."""
 

@@ -50,6 +50,16 @@ def settings(session: SessionPaths, paths: Paths) -> bytes:
     return to_json(paths.there(json.loads(session.element_settings.read_bytes())))
 
 
+def common_job(session: SessionPaths, index: int) -> Mapping[str, JsonView]:
+    """Return what all jobs of an element have in common. Raises Damaged."""
+    try:
+        with gzip.open(session.jobs(index), "rb") as lines:
+            common: Mapping[str, JsonView] = json.loads(next(lines))["common"]
+            return common
+    except (OSError, EOFError, ValueError, LookupError, StopIteration) as error:
+        raise Damaged(f"{session.jobs(index)}: cannot be read: {error}") from error
+
+
 def jobs(session: SessionPaths, index: int, paths: Paths) -> bytes:
     """Return the file with the jobs of an element for a host. Raises Damaged."""
     try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import posixpath
 import queue
 import threading
 import time
@@ -49,11 +50,11 @@ class HostConnection:
         table: LabTable,
         links: Mapping[str, Mapping[str, Any]],
         session: str,
-        contents: Mapping[str, tuple[str, Path]],
+        contents: Mapping[str, str],
         have: Callable[[], Mapping[str, int]],
         handle: Callable[[HostConnection, Record, bytes], None],
     ) -> None:
-        """`session` names the folder of the session there. `contents` are folders to copy there: kind and path by their use.
+        """`session` names the folder of the session there. `contents` are what is copied there: kinds by paths.
 
         `have` returns the bytes of each result log that this machine has. `handle` is called by this thread, for the events of
         the host and for those of the connection: `connected` and `lost`, with the reason.
@@ -65,7 +66,7 @@ class HostConnection:
         self.folder = ""
         """The absolute path of the session's folder there."""
         self.places: dict[str, str] = {}
-        """The absolute paths of the copied folders there, by their use."""
+        """The absolute paths there of what was copied, by those of this machine."""
         self.heard = host_folder.now()
         """When something came from the host, in seconds since boot, in which a suspended computer also counts."""
         self.connected = False
@@ -151,11 +152,11 @@ class HostConnection:
         if link.run((self._table.python, "-c", OLD_PYTHON)).status != 0:
             raise Unusable(f"{self.name}: needs Python 3.8 or newer as {self._table.python!r}; set python in the lab's table")
         programs = push_programs(link, root, Path(agent.__file__).parent)
-        places = {use: push_content(link, path, root, kind) for use, (kind, path) in self._contents.items()}
         home = link.run(("pwd",)).stdout.decode(errors="replace").rstrip("\n")
-        absolute = {use: place if place.startswith("/") else f"{home}/{place}" for use, place in places.items()}
-        self.places = absolute
-        self.folder = f"{root if root.startswith('/') else f'{home}/{root}'}/sessions/{self._session}"
+        for path, kind in self._contents.items():
+            copied = posixpath.join(home, push_content(link, Path(path), root, kind))
+            self.places[path] = posixpath.join(copied, Path(path).name) if Path(path).is_file() else copied
+        self.folder = posixpath.join(home, root, "sessions", self._session)
         return programs
 
     def _ask_clock(self, exchange: Exchange, early: list[tuple[Record, bytes]]) -> int:

@@ -108,8 +108,9 @@ class Lab:
         return Bounds()
 
     def script(self, request: Request) -> str:
-        command = " ".join(("python3", "worker.pyz", "array_task", "FOLDER", "INDEX"))
-        return "".join(f"{host.name}: {host.slots or 'cores'} at a time: {command}\n" for host in self._table.listed().values())
+        hosts = (f"{host.name}:{host.slots}" if host.slots else host.name for host in self._table.listed().values())
+        program = f"{self._table.folder}/programs/…/worker.pyz array_task"
+        return f"on each of {', '.join(hosts)}:\n{self._table.python} -I -S {program} {request.folder.name} INDEX\n"
 
     def explain(self, words: str) -> str:
         return words
@@ -123,7 +124,7 @@ class Lab:
             return
         self._logs = ResultLogs(session)
         if work is not None:
-            tasks.code, tasks.links = str(work.code or ""), cast(Links, work.links)
+            tasks.contents, tasks.links = self._contents(work), cast(Links, work.links)
         tasks.without_end = False
         listed = self._table.listed()
         with self._changed:
@@ -133,16 +134,20 @@ class Lab:
         if work is not None:
             self._wait_for_hosts()
 
+    def _contents(self, work: Work) -> dict[str, str]:
+        """Return what is copied to hosts, each with the kind of its content."""
+        contents = {str(work.code): "code"} if work.code else {}
+        if self._session.shared.is_dir():
+            contents[str(self._session.shared)] = "files"
+        return contents | {str(path): "images" for path in work.files}
+
     def _connect(self, host: Host, *, leaves: bool = False) -> None:
         """Begin to connect to a host, unless this was done."""
         assert self._tasks is not None  # noqa: S101 - the session is open
         if host.name in self._hosts:
             self._hosts[host.name].leaves = leaves
             return
-        contents = {"code": ("code", Path(self._tasks.code))} if self._tasks.code else {}
-        if self._session.shared.is_dir():
-            contents["beside"] = ("files", self._session.shared)
-        name, links = self._session.root.name, self._tasks.links
+        name, links, contents = self._session.root.name, self._tasks.links, self._tasks.contents
         connection = HostConnection(host, self._table, links, name, contents, self._have, self._handle)
         self._hosts[host.name] = LabHost(connection, leaves=leaves)
         connection.start()
@@ -164,15 +169,24 @@ class Lab:
 
     def sizes(self, durations: Sequence[float]) -> Sequence[int]:
         with self._changed:
-            return sizes(durations, max(1, sum(host.slots for host in self._hosts.values() if host.is_ready)))
+            ready = sum(host.slots for host in self._hosts.values() if host.is_ready)
+        return sizes(durations, ready or sum(host.slots or 1 for host in self._table.listed().values()))
 
     def submit(self, request: Request) -> str:
         with self._changed:
             assert self._tasks is not None  # noqa: S101 - the session is open
+            self._check_containers(request.elements)
             job = self._tasks.submit(request.elements)
             self._tasks.save()
             self._dispatch()
         return job
+
+    def _check_containers(self, elements: Sequence[int]) -> None:
+        """Raise ConfigError if runs are in containers whose image is in the storage of an engine."""
+        assert self._tasks is not None  # noqa: S101 - the session is open
+        common = carried_files.common_job(self._session, elements[0])
+        if "client" in common and "images" not in self._tasks.contents.values():
+            raise ConfigError("a lab executes containers whose image is a file; use --engine apptainer")
 
     def look(self, name: str) -> tuple[Task, ...]:
         with self._changed:
@@ -422,6 +436,9 @@ class Lab:
         paths = self._paths(connection)
         if not host.has_settings:
             connection.send("file", carried_files.settings(session, paths), name="element.json")
+            of_containers = sorted(session.engine.glob("*"))
+            for path in (session.worker, *of_containers) if of_containers else ():
+                connection.send("file", path.read_bytes(), name=str(path.relative_to(session.root)))
             host.has_settings = True
         connection.send("file", carried_files.jobs(session, index, paths), name=f"elements/{index}.jobs")
         connection.send("file", carried_files.not_to_start(session, index), name=f"elements/{index}.failed")
@@ -437,8 +454,7 @@ class Lab:
         assert self._tasks is not None  # noqa: S101 - the session is open
         folder, session = connection.folder, self._session
         paths = {str(session.root.parent.parent): str(Path(folder).parents[1]), str(session.root): folder}
-        own = {"code": self._tasks.code, "beside": str(session.shared)}
-        return Paths(paths | {own[use]: path for use, path in connection.places.items()})
+        return Paths(paths | connection.places)
 
     def _tick(self) -> None:
         """Notice hosts that are listed or not any more, and leases that are over."""

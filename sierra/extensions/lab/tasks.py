@@ -57,8 +57,8 @@ class Tasks:
     """The number of the last entry."""
     without_end: bool = False
     """True if hosts go on without this machine."""
-    code: str = ""
-    """The folder of the code; empty if runs do not need it."""
+    contents: Mapping[str, str] = field(default_factory=dict)
+    """The files and folders of this machine that jobs name, each with the kind of its content."""
     links: Links = field(default_factory=dict)
     """The options of links in `sierra.toml`."""
 
@@ -68,7 +68,7 @@ class Tasks:
         try:
             record = json.loads(session.carried.read_bytes())
             tasks = [LabTask(**{**task, "stage": Stage(task["stage"])}) for task in record["tasks"]]
-            return cls(session, tasks, record["number"], record["without_end"], record["code"], record["links"])
+            return cls(session, tasks, record["number"], record["without_end"], record["contents"], record["links"])
         except FileNotFoundError:
             return cls(session)
         except (OSError, ValueError, TypeError, LookupError) as error:
@@ -76,7 +76,7 @@ class Tasks:
 
     def save(self) -> None:
         """Write the tasks. Raises Missing if the disk is full."""
-        own = {name: getattr(self, name) for name in ("number", "without_end", "code", "links")}
+        own = {name: getattr(self, name) for name in ("number", "without_end", "contents", "links")}
         record = {"tasks": [asdict(task) for task in self.all], **own}
         with disk_errors(self.session.root):
             write_whole(self.session.carried, json.dumps(record).encode())

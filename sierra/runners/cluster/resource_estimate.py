@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from sierra.config.cluster_table import ClusterTable
@@ -14,7 +14,7 @@ from sierra.runners.cluster import submission_record
 from sierra.runners.cluster.preflight_job import Preflight
 from sierra.runners.cluster.sizing import TIMEOUT_S, Size, size
 from sierra.runners.cluster.submission_record import UNFOLLOWED
-from sierra.runners.schedulers.base import Bounds
+from sierra.runners.schedulers.base import Bounds, Carries
 from sierra.store.layout import SessionPaths
 from sierra.util.lazy_definitions import dataclass
 from sierra.util.text import counted
@@ -44,6 +44,7 @@ CALIBRATES = (
     "{}: {} are executed first, and then decide the number of array tasks for the others; the number given here is used if no "
     "process waits for the first runs, or if no node starts them within {:g} s"
 )
+DEALT = (("array_tasks", "shares of decreasing size, of which each host takes one when another one has ended"),)
 NO_DURATION, NEVER_TIMED = "the duration of runs is not known yet", "runs with these values were never timed"
 
 
@@ -70,7 +71,7 @@ class Estimate:
     """Number of runs of the largest element."""
     cpus: int
     wall_s: float | None
-    """Seconds that each element requests; None means the site's limit."""
+    """Seconds that each element requests; None means the site's limit, or none where no scheduler has limits."""
     expected_s: float | None
     """Seconds that each element is expected to take; None if this is unknown."""
     core_hours: float | None
@@ -105,20 +106,22 @@ def propose(
     files and bytes that do not depend on the number of elements. If the scheduler cannot be reached, the estimate lacks the
     limits of the site. Raises ConfigError for a refused request.
     """
-    notes = [PREFLIGHT] if Preflight(name, table, SessionPaths(work / "SESSION")).is_needed() else []
+    shares = _shares(scheduler, table, count, times)
+    is_probed = not shares and Preflight(name, table, SessionPaths(work / "SESSION")).is_needed()
+    notes = [PREFLIGHT] if is_probed else []
     version, bounds = _site(scheduler, table, notes)
-    sized = size(count, times, table, bounds, waits=waits)
+    sized = Size(len(shares), None, None, DEALT) if shares else size(count, times, table, bounds, waits=waits)
     requested = table.model_copy(update={"wall": sized.wall_s})
     unknown = NEVER_TIMED if times else NO_DURATION
     notes += [CALIBRATES.format(unknown, counted(len(sized.first), "run"), TIMEOUT_S)] if sized.first else []
-    notes += [] if waits else [UNFOLLOWED]
+    notes += [] if waits or shares else [UNFOLLOWED]
     files, carried = beside
     return Estimate(
         runner=name,
         scheduler=version or scheduler,
         runs=count,
         array_tasks=sized.elements,
-        longest=math.ceil((count - len(sized.first)) / sized.elements),
+        longest=max(shares, default=math.ceil((count - len(sized.first)) / sized.elements)),
         cpus=table.cpus,
         wall_s=sized.wall_s,
         expected_s=sized.expected_s,
@@ -130,6 +133,12 @@ def propose(
         script=_script(scheduler, requested, sized, SessionPaths(work / "SESSION"), notes),
         notes=tuple(dict.fromkeys(notes)),
     )
+
+
+def _shares(scheduler: str, table: ClusterTable, count: int, times: Times | None) -> Sequence[int]:
+    """Return the numbers of runs of the elements of a scheduler that carries files to its hosts; nothing for others."""
+    carrier = schedulers.find(scheduler)(table)
+    return carrier.sizes(times.each if times else (1.0,) * count) if isinstance(carrier, Carries) else ()
 
 
 def _site(scheduler: str, table: ClusterTable, notes: list[str]) -> tuple[str | None, Bounds]:

@@ -235,7 +235,10 @@ class Carries(Protocol):
         """
 
     def sizes(self, durations: Sequence[float]) -> Sequence[int]:
-        """Return the numbers of runs of the elements into which runs of these durations (in s) are divided, in this order."""
+        """Return the numbers of runs of the elements into which runs of these durations (in s) are divided, in this order.
+
+        It may be called before `open`, to estimate this.
+        """
 
     def notes(self) -> Sequence[str]:
         """Return the messages for the user since the last call."""

@@ -3,6 +3,7 @@
     ROOT/slots/K                    the lock of slot K, which all drivers of this user share
     ROOT/sessions/SESSION/
         element.json, elements/, results/, cancelled        as array tasks expect them: see `sierra.worker.array_task`
+        worker.pyz, engine/         the programs and files that containers need
         logs/ENTRY.out              the output of a task
         queue/ENTRY                 a task that waits for a slot: JSON with `task`, `job`, `host` and `clock`
         claimed/ENTRY               the same file, while the task is started
@@ -29,10 +30,10 @@ from typing import Any
 from sierra.worker.processes import birth, read_proc
 
 ENTRY = re.compile(r"[0-9]{1,9}\.[0-9]{1,9}")
-FILE = re.compile(r"element\.json|elements/[0-9]{1,9}\.(jobs|failed|alone)")
+FILE = re.compile(r"element\.json|worker\.pyz|engine/[A-Za-z0-9_-][A-Za-z0-9_.-]*|elements/[0-9]{1,9}\.(jobs|failed|alone)")
 """The names of files that a driver sends."""
 QUEUE, CLAIMED, RUNNING, ENDED, LOGS, RESULTS = "queue", "claimed", "running", "ended", "logs", "results"
-FOLDERS = ("elements", QUEUE, CLAIMED, RUNNING, ENDED, LOGS, RESULTS)
+FOLDERS = ("elements", "engine", QUEUE, CLAIMED, RUNNING, ENDED, LOGS, RESULTS)
 STATES = (QUEUE, CLAIMED, RUNNING, ENDED)
 """The folders through which a task goes, in this order. It is written to the next one before it leaves one."""
 Record = dict[str, Any]
