@@ -74,6 +74,7 @@ ADDS: Mapping[str, Mapping[str, Mapping[str, str]]] = {
     "lab": {
         "needs": {"hosts": ""},
         "schedulers": {"lab": "scheduler:Lab"},
+        "fleets": {"lab": "host_list:of_labs"},
     },
     "robots": {
         "needs": {"hosts": ""},

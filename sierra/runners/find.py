@@ -51,6 +51,8 @@ def scheduler_of(name: str, tables: Tables | None = None) -> tuple[str, ClusterT
     scheduler = str(requested or name)
     if scheduler in SCHEDULERS.names():
         return scheduler, schedulers.table(scheduler, table or {}, name)
+    if extensions.absent("schedulers", scheduler):
+        raise ConfigError(f"[runners.{name}]: {SCHEDULERS.unknown(scheduler)}")
     if extensions.absent("runners", name):
         raise ConfigError(RUNNERS.unknown(name) if table is None else f"[runners.{name}]: {RUNNERS.unknown(name)}")
     if table is not None:

@@ -70,6 +70,12 @@ USES = {
     ),
     "gazebo": Use(("[platforms.gazebo]",), "[platforms.gazebo]\nlength = 1.0\n", "[platforms.gazebo]: the platform 'gazebo'"),
     "hosts": Use(("--hosts", "--link"), "[links.openssh]\nsessions = 4\n", "[links.openssh]: the link 'openssh'"),
+    "lab": Use(
+        ("hosts_file",),
+        '[runners.lab]\nhosts = ["a"]\n',
+        "[runners.lab]: the scheduler 'lab'",
+        ("run", "-n", "--on", "lab", "population_size=5"),
+    ),
     "robots": Use(
         ("[runners.robots]",),
         '[runners.robots]\nstop = []\n[runners.robots.fleet.a]\nhost = "a"\n',

@@ -16,7 +16,7 @@ def checked(
         list[str] | None, typer.Argument(metavar="HOST", help="With --hosts: robots of the fleet, or hosts as in `ssh HOST`.")
     ] = None,
     hosts: Annotated[
-        bool, typer.Option("--hosts", help="Check hosts over SSH instead: those named, or the fleet of the runner robots.")
+        bool, typer.Option("--hosts", help="Check hosts over SSH instead: those named, or the fleet of robots and all labs.")
     ] = False,
     link: Annotated[
         str | None, typer.Option("--link", metavar="NAME", help="With --hosts: the link to use, fabric or openssh.")

@@ -72,7 +72,7 @@ class HostToCheck:
 
 
 def all_checks(names: Sequence[str], link: str | None = None) -> list[Check]:
-    """Return the checks of some hosts, or of all hosts of the project's fleet, in this order. Hosts are checked at once.
+    """Return the checks of some hosts, or of the project's fleet and labs, in this order. Hosts are checked at once.
 
     Names are those of robots of the fleet, or of hosts as in `ssh NAME`. Raises UsageError if there are no hosts.
     """
@@ -104,7 +104,7 @@ def _hosts(project: Project | None, names: Sequence[str], link: str | None) -> l
     for name in extensions.added("fleets") if project else ():
         fleet |= extensions.load("fleets", name)(project, link)
     if not names and not fleet:
-        raise UsageError("there is no fleet in [runners.robots]; name hosts, for example: sierra doctor --hosts robot1 robot2")
+        raise UsageError("there is no fleet in [runners.robots] and no lab; name hosts, for example: sierra doctor --hosts pc1 pc2")
     chosen, links = link or "fabric", project.links if project else {}
     return [fleet.get(name) or HostToCheck(name, name, chosen, links.get(chosen, {})) for name in names or fleet]
 
