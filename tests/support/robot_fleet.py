@@ -291,13 +291,6 @@ class Fleet:
         _run("tc", "qdisc", "replace", "dev", robot.card, *shape)
         _ip("netns", "exec", robot.namespace, "tc", "qdisc", "replace", "dev", "eth0", *shape)
 
-    def disturb(self, name: str, *words: str) -> None:
-        """Delay or lose packets of a robot's network in both directions, by words of `tc qdisc … netem`."""
-        robot = self.robots[name]
-        robot.changed = True
-        _run("tc", "qdisc", "replace", "dev", robot.card, "root", "netem", *words)
-        _ip("netns", "exec", robot.namespace, "tc", "qdisc", "replace", "dev", "eth0", "root", "netem", *words)
-
     # Disk, clock, processor
 
     def fill_disk(self, name: str, free: int = 0) -> None:

@@ -104,7 +104,9 @@ def _hosts(project: Project | None, names: Sequence[str], link: str | None) -> l
     for name in extensions.added("fleets") if project else ():
         fleet |= extensions.load("fleets", name)(project, link)
     if not names and not fleet:
-        raise UsageError("there is no fleet in [runners.robots] and no lab; name hosts, for example: sierra doctor --hosts pc1 pc2")
+        raise UsageError(
+            "there is no fleet in [runners.robots] and no lab; name hosts, for example: sierra doctor --hosts pc1 pc2"
+        )
     chosen, links = link or "fabric", project.links if project else {}
     return [fleet.get(name) or HostToCheck(name, name, chosen, links.get(chosen, {})) for name in names or fleet]
 

@@ -20,7 +20,6 @@ says. All bytes of a result log are sent from the place on that the driver asks 
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import platform
@@ -90,7 +89,10 @@ class Front:
             try:
                 self._carry_out(request, content)
             except OSError as error:
-                self._send({"event": "trouble", "reason": "%s: %s" % (error.filename or self._folder, error.strerror)})
+                self._send_trouble(error)
+
+    def _send_trouble(self, error: OSError) -> None:
+        self._send({"event": "trouble", "reason": "%s: %s" % (error.filename or self._folder, error.strerror)})
 
     def _read(self) -> None:
         data = os.read(0, CHUNK)
@@ -104,8 +106,10 @@ class Front:
     def _set_lease(self) -> None:
         """Let the tasks go on for another lease. If the disk is full, they end when the last one is over."""
         self._leased = time.monotonic()
-        with contextlib.suppress(OSError):
+        try:
             host_folder.set_lease(self._folder, self._lease)
+        except OSError as error:
+            self._send_trouble(error)
 
     def _carry_out(self, request: Record, content: bytes) -> None:
         """Carry out one request. Raises OSError."""
