@@ -79,7 +79,7 @@ def executed(fleet: Fleet, name: str | None = None) -> Counter[str]:
 
 def sessions(fleet: Fleet, name: str) -> list[Path]:
     """Return the folders of sessions on a host."""
-    return sorted((fleet.robots[name].home / ".cache/sierra-lab/sessions").glob("*"))
+    return sorted((fleet.robots[name].home / ".cache/sierra-lab/sessions").glob("*/*"))
 
 
 def rows_of(project: Path, statement: str) -> list[tuple[Any, ...]]:

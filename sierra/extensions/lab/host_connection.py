@@ -156,7 +156,8 @@ class HostConnection:
         for path, kind in self._contents.items():
             copied = posixpath.join(home, push_content(link, Path(path), root, kind))
             self.places[path] = posixpath.join(copied, Path(path).name) if Path(path).is_file() else copied
-        self.folder = posixpath.join(home, root, "sessions", self._session)
+        own = "".join(character if character.isalnum() or character in "_.@-" else "_" for character in self.name)
+        self.folder = posixpath.join(home, root, "sessions", self._session, own)
         return programs
 
     def _ask_clock(self, exchange: Exchange, early: list[tuple[Record, bytes]]) -> int:

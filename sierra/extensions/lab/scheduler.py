@@ -131,8 +131,11 @@ class Lab:
             for host in (*listed.values(), *(Host(task.host, None) for task in tasks.alive() if task.host)):
                 self._connect(host, leaves=host.name not in listed)
         threading.Thread(target=self._tick, daemon=True).start()
-        if work is not None:
-            self._wait_for_hosts()
+        self._wait_for_hosts()
+        if work is not None and not any(host.is_ready for host in self._hosts.values()):
+            self.close()
+            why = {name: host.unusable or host.lost or "does not answer" for name, host in self._hosts.items()}
+            raise Missing(f"no host of the lab can be used: {few([f'{name}: {reason}' for name, reason in why.items()], 3)}")
 
     def _contents(self, work: Work) -> dict[str, str]:
         """Return what is copied to hosts, each with the kind of its content."""
@@ -153,7 +156,7 @@ class Lab:
         connection.start()
 
     def _wait_for_hosts(self) -> None:
-        """Wait until hosts are ready. Raises Missing if none is."""
+        """Wait until hosts are ready, or cannot be reached."""
         began = time.monotonic()
         with self._changed:
             while not self._closed:
@@ -162,10 +165,6 @@ class Lab:
                 if not undecided or time.monotonic() - began > (FIRST_S if is_ready else BEGIN_S):
                     break
                 self._changed.wait(0.2)
-        if not is_ready:
-            self.close()
-            why = {name: host.unusable or host.lost or "does not answer" for name, host in self._hosts.items()}
-            raise Missing(f"no host of the lab can be used: {few([f'{name}: {reason}' for name, reason in why.items()], 3)}")
 
     def sizes(self, durations: Sequence[float]) -> Sequence[int]:
         with self._changed:
@@ -222,14 +221,17 @@ class Lab:
             if elements is None:
                 self._tell_all("cancel")
             self._tasks.save()
+            left = [task.host for task in self._tasks.alive() if task.ours and not self._hosts[task.host].connection.connected]
+            if left:
+                raise Missing(f"{few(sorted(set(left)), 3)} cannot be reached")
 
     def _end(self, task: LabTask) -> None:
         """Let a task end because this project does not need it any more."""
         task.ours = True
         host = self._hosts.get(task.host)
-        if task.stage is Stage.WAITING or host is None or not host.connection.connected:
+        if task.stage is Stage.WAITING or host is None:
             task.stage, task.reason = Stage.ENDED, "cancelled"
-        else:
+        elif host.connection.connected:
             host.connection.send("withdraw", entry=task.entry)
             host.connection.send("end", entry=task.entry)
 
@@ -331,14 +333,16 @@ class Lab:
         """Take in the state of the tasks on a host; what it does not know of a lost connection is sent again."""
         assert self._tasks is not None  # noqa: S101 - the session is open
         queued, running, ended = event["queued"], event["running"], event["ended"]
-        name = host.connection.name
+        name, has_changed = host.connection.name, False
         for task in list(self._tasks.on(name)):
             if task.entry in ended:
                 self._on_end(host, task, *ended[task.entry])
             elif task.entry in running:
+                has_changed = has_changed or task.stage is not Stage.RUNNING
                 task.stage = Stage.RUNNING
             elif task.entry in host.seen and task.entry not in queued:
                 task.stage, task.reason = Stage.ENDED, f"{name} has no record of its end (is its disk full?)"
+                has_changed = True
             elif task.entry not in queued and host.resends:
                 self._send(host, task)
         host.resends = False
@@ -349,6 +353,8 @@ class Lab:
                 host.connection.send("withdraw", entry=entry)
                 host.connection.send("end", entry=entry)
         self._withdrawing -= {*running, *ended}
+        if has_changed:
+            self._tasks.save()
 
     def _on_end(self, host: LabHost, task: LabTask, status: int | None, reason: str, line: str) -> None:
         """Take in that a task has ended. If its host could not execute it, another one does."""
@@ -453,7 +459,7 @@ class Lab:
         """Return the paths on a host of what jobs name."""
         assert self._tasks is not None  # noqa: S101 - the session is open
         folder, session = connection.folder, self._session
-        paths = {str(session.root.parent.parent): str(Path(folder).parents[1]), str(session.root): folder}
+        paths = {str(session.root.parent.parent): str(Path(folder).parents[2]), str(session.root): folder}
         return Paths(paths | connection.places)
 
     def _tick(self) -> None:

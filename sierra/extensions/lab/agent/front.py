@@ -20,6 +20,7 @@ says. All bytes of a result log are sent from the place on that the driver asks 
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import platform
@@ -133,6 +134,8 @@ class Front:
             self._send({"event": "clock", "wall": time.time_ns()})
         elif do == "remove":
             remove(self._folder)
+            with contextlib.suppress(OSError):  # other hosts may use it
+                os.rmdir(os.path.dirname(self._folder))
             self._removed = True
             self._send({"event": "removed"})
 

@@ -44,7 +44,7 @@ class Keeper:
     def __init__(self, folder: str, slots: int) -> None:
         self._folder = folder
         self._slots = slots
-        self._locks = os.path.join(os.path.dirname(os.path.dirname(folder)), "slots")
+        self._locks = os.path.join(folder, "..", "..", "..", "slots", os.uname().nodename)
         self._tasks: dict[str, Task] = {}
         self._told = False
         os.makedirs(self._locks, mode=0o700, exist_ok=True)
