@@ -148,7 +148,7 @@ class Isolation:
         if self.box is None:
             return ()
         paths = (self.box.reference, *(mount.source for mount in self.box.mounts if mount.target != PROJECT))
-        return tuple(Path(path) for path in paths if os.path.isabs(path))
+        return tuple(Path(path) for path in paths if Path(path).is_absolute())
 
     @property
     def needed(self) -> tuple[Requirement, ...]:

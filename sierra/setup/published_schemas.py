@@ -153,11 +153,12 @@ def _define(schema: Schema, title: str, model: type[BaseModel]) -> Schema:
 
 
 def _clusters(schema: Schema, note: Note | None) -> None:
-    """Add the tables of clusters: those of the shipped schedulers, and those of the installed ones."""
+    """Add the tables of clusters: those of the shipped schedulers, and those of schedulers with keys of their own."""
     schema["$defs"]["ClusterTable"] = _schema(ClusterTable)
     runners = schema["properties"]["runners"]
     clusters: list[Schema] = [{"$ref": "#/$defs/ClusterTable"}]
-    for name in _usable(SCHEDULERS, note):
+    shipped = (name for name in SCHEDULERS.shipped if SCHEDULERS.load(name).Options is not ClusterTable)
+    for name in (*shipped, *_usable(SCHEDULERS, note)):
         clusters.append(_define(schema, f"schedulers.{name}", SCHEDULERS.load(name).Options))
         runners.setdefault("properties", {}).setdefault(name, clusters[-1])
     runners["additionalProperties"] = clusters[0] if len(clusters) == 1 else {"anyOf": clusters}
