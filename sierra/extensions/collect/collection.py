@@ -8,6 +8,7 @@ of this machine.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
@@ -25,10 +26,10 @@ from sierra.execution.observer import Observer
 from sierra.execution.plan import Plan, context, session_step
 from sierra.execution.run_options import RunOptions
 from sierra.execution.summary import Summary
-from sierra.execution.write_inputs import PLACES, REQUEST, command_builder, own_places, run_files, run_folder
+from sierra.execution.write_inputs import ENDED, PLACES, REQUEST, command_builder, own_places, run_files, run_folder
 from sierra.extensions.collect.folder import Ended, Refused, files_left, has_ended, read, read_ended
 from sierra.extensions.collect.runner import NAME, EndedRun, Source, execution_of
-from sierra.provenance.dependency_model import Program, Programs
+from sierra.provenance.dependency_model import Kind, Program, Programs
 from sierra.store.row_types import SharedFileRow
 from sierra.store.store import Store
 from sierra.util.hashing import sha256, short
@@ -37,8 +38,8 @@ from sierra.util.text import size
 
 MOST_REQUEST = 1 << 20
 """The size of `batch.json`, at most."""
-ELSEWHERE = Programs((Program("programs of another system", "", "unknown"),))
-"""The programs of executions that are not trusted."""
+ELSEWHERE = Programs((Program("programs of another system", "", "unknown", Kind.DISTRIBUTIONS),))
+"""The programs of executions that are not trusted. This kind is not taken for a file of this machine."""
 GOOD = "SELECT execution, status FROM executions WHERE list_contains($e, execution)"
 
 
@@ -131,22 +132,22 @@ def _request(root: Path) -> tuple[RequestFile, Mapping[str, str]]:
 
 
 def _plan(project: Project, asked: RequestFile, root: Path, observer: Observer) -> Plan:
-    """Return the plan of the batch of a folder, by the current code or else as it is recorded. Raises UsageError."""
-    batch = str(asked.batch)
-    try:
+    """Return the plan of the batch of a folder, by the current code or else as it is recorded.
+
+    Raises UsageError for the batch of another project, or of other code, and the errors of `Project.plan`.
+    """
+    batch, store = str(asked.batch), project.stored()
+    recorded = store is not None and store.values(str, "SELECT batch FROM batches WHERE batch = $b LIMIT 1", b=batch)
+    with contextlib.suppress(*([SierraError] if recorded else [])):
         plan = project.plans.resolve(asked.request, observer=observer)
         if plan.batch.id == batch:
             return plan
-        now = f"its query is batch {short(plan.batch.id)} now"
-    except SierraError as error:
-        now = str(error)
-    store = project.stored()
-    if store is not None and store.values(str, "SELECT batch FROM batches WHERE batch = $b LIMIT 1", b=batch):
-        return project.plan(batch)
-    raise UsageError(
-        f"{root / REQUEST}: batch {short(batch)} is not one of this project as it is ({now}); "
-        "use the code and sierra.toml with which the folder was written"
-    )
+        if not recorded:
+            raise UsageError(
+                f"{root / REQUEST}: the query is batch {short(plan.batch.id)} now, and was batch {short(batch)}; "
+                "use the code and sierra.toml with which the folder was written"
+            )
+    return project.plan(batch)
 
 
 def _check(plan: Plan) -> None:
@@ -190,7 +191,7 @@ class _Examined:
             try:
                 record = read_ended(self._root, name)
                 if record.run != run.id:
-                    raise Refused(f"it is of run {short(record.run)!r}, and this is the folder of run {short(run.id)}")
+                    raise Refused(f"{ENDED} is of run {short(record.run)!r}, and this is the folder of run {short(run.id)}")
                 self.ended.setdefault(run.id, (name, record))
             except Refused as error:
                 self.refused[name] = str(error)
