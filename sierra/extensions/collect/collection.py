@@ -90,7 +90,7 @@ def collect(
     }
     stored = project.stored()
     before = _recorded(stored, ended) if stored else {}
-    new = {run: one for run, one in ended.items() if one.execution not in before}
+    new = {run: record for run, record in ended.items() if record.execution not in before}
     summary = None
     if ended:
         beside = frozenset(row.name for row in rows)
@@ -245,7 +245,7 @@ def _executing(project: Project, plan: Plan, observer: Observer, *, trust: bool)
 
 def _recorded(store: Store, ended: Mapping[str, EndedRun]) -> dict[str, str]:
     """Return the status of those executions that are recorded."""
-    return dict(store.select(_Recorded, GOOD, e=[one.execution for one in ended.values()]))
+    return dict(store.select(_Recorded, GOOD, e=[run.execution for run in ended.values()]))
 
 
 def _statuses(plan: Plan) -> frozenset[int]:
