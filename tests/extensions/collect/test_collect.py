@@ -11,6 +11,8 @@ from typing import Any
 
 import pytest
 
+from sierra.containers import container_setup
+from sierra.extensions.collect.runner import isolation_of
 from tests.projects import CONFIG, make, quick, run, sql, values
 
 QUERY = ("population_size=1,2", "--runs", "2")
@@ -333,3 +335,10 @@ def test_the_folder_may_be_a_link(project: Path) -> None:
     (project.parent / "linked").symlink_to(project.parent / "inputs")
     done = quick(project, "collect", "../linked", "--no-figures")
     assert (done.returncode, "collected from ../linked: 4 of 4 runs" in done.stdout) == (0, True)
+
+
+def test_it_is_unknown_whether_an_image_was_used() -> None:
+    row = isolation_of("sha256:" + "a" * 64)
+    assert (row.engine, row.network, row.rootless, row.version) == ("collected", "unknown", None, None)
+    assert row.isolation == isolation_of(row.image).isolation != isolation_of("sha256:" + "b" * 64).isolation
+    assert container_setup.limits(row._asdict())["limits_enforced"] == {}
