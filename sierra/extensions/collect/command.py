@@ -25,11 +25,12 @@ def collect(
     figures: DrawFigures = None,
     as_json: AsJson = False,
 ) -> None:
-    """Record runs that another system has executed from the folder of sierra run --inputs.
+    """Record runs that another system has executed.
 
-    A run has ended if its folder has ended.json, which execute.sh in FOLDER writes. Its outputs are copied; FOLDER stays as it
-    is. A run is refused if its input files or its command are not those that sierra run --inputs wrote. Runs that have not
-    ended are counted; collect again when they have. Nothing is recorded twice.
+    It has executed them from the folder of sierra run --inputs. A run has ended if its folder has ended.json, which execute.sh
+    in FOLDER writes. Its outputs are copied; FOLDER stays as it is. A run is refused if its input files or its command are not
+    those that sierra run --inputs wrote. Runs that have not ended are counted; collect again when they have. Nothing is
+    recorded twice.
 
     Nobody knows which programs have executed the runs. Statistics and figures use them until the query is executed here:
     sierra run executes all of its runs. With --trust, it reuses the collected ones.
