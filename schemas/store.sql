@@ -175,7 +175,7 @@ CREATE TABLE isolations (
     "mode" VARCHAR,  -- run: one container for each run; worker: one container for all runs of a slot (weaker isolation)
     "image" VARCHAR,  -- content identity of the image
     "user" VARCHAR,  -- the user that a container's processes have on the host
-    "network" VARCHAR,  -- none, host, or not isolated (none was requested but is not possible here)
+    "network" VARCHAR,  -- none, host, not isolated (none was requested but is not possible here), or unknown
     "devices" VARCHAR[],  -- devices of the host that runs could use; gpu stands for NVIDIA GPUs
     "mounts" VARCHAR,  -- files and folders of the host that runs could read, as JSON: path in the container, path on the host
     "limits_asked" VARCHAR,  -- limits that were requested of the engine, as JSON: memory in bytes, cpus, pids
@@ -444,7 +444,7 @@ CREATE TABLE programs (
 CREATE TABLE observations (
     "execution" VARCHAR,  -- the execution
     "files" VARCHAR,  -- the set of files that it executed, read, looked for or listed, as in files_read
-    "method" VARCHAR,  -- the program or the interface by which they were seen; none if the run could not be observed
+    "method" VARCHAR,  -- the program or the interface by which they were seen; none if the run could not be observed, collected if another system executed it
     "reason" VARCHAR,  -- why it may have used other files too, in one line; NULL if all were seen
     "notes" VARCHAR[],  -- what cannot be seen: files that a service or another machine may have read for it
     "distributions" VARCHAR[]  -- Python distributions whose files it used, as name==version, those of which it used most bytes first

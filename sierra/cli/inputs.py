@@ -29,8 +29,9 @@ def inputs(
     """Write all inputs and commands, and execute nothing.
 
     For sites that start programs in their own way. Each run gets a folder with its input files, command.json and the empty
-    folder output, where its command is to be started. manifest.csv lists all runs with their ids, values, seeds and folders.
-    The folder appears as a whole, or not at all. With several targets, it gets such a folder for each.
+    folder output, where its command is to be started; execute.sh does so. manifest.csv lists all runs with their ids,
+    values, seeds and folders. The folder appears as a whole, or not at all. With several targets, it gets such a folder for
+    each.
 
     \b
     Examples:

@@ -93,8 +93,9 @@ def run(
     from the jobs or to cancel them; use sierra ls --jobs, attach and cancel for detached jobs.
 
     With --inputs, for sites that start programs in their own way, each run gets a folder with its input files, command.json and
-    the empty folder output, where its command is to be started. manifest.csv lists all runs with their ids, values, seeds and
-    folders. The folder appears as a whole, or not at all. With several targets, it gets such a folder for each.
+    the empty folder output, where its command is to be started; execute.sh does so. manifest.csv lists all runs with their ids,
+    values, seeds and folders. The folder appears as a whole, or not at all. With several targets, it gets such a folder for
+    each.
 
     \b
     Criteria:

@@ -25,6 +25,11 @@ ADDS: Mapping[str, Mapping[str, Mapping[str, str]]] = {
         "variables": {"ARGOS_PLUGIN_PATH": "libraries"},
         "examples": {"argos": "examples/argos"},
     },
+    "collect": {
+        "commands": {"collect": "command:collect"},
+        "sections": {"collect": "Run"},
+        "runners": {"collected": "runner:Collected"},
+    },
     "explorer": {
         "commands": {"explore": "command:explore", "open explore": "command:explore"},
         "sections": {"explore": "Look"},

@@ -49,7 +49,7 @@ def of_session(
         notes += tuple(out_of_reach(plan, None if none_good else [failure.log or "" for failure in failures]))
     left_out = len(missing - only) if only is not None else 0
     if left_out:
-        notes += (f"figures and statistics of this batch lack {counted(left_out, 'run')} that --only has left out",)
+        notes += (f"figures and statistics of this batch lack {counted(left_out, 'run')} that this session has left out",)
     return Summary(
         batch=plan.batch.id,
         query=plan.text,

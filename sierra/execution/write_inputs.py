@@ -1,14 +1,17 @@
 """The inputs and commands of a batch as files, for sites that start programs in their own way.
 
 DIR/manifest.csv                a row for each run: run, experiment, number, seed, folder, and the values of the variables
-DIR/batch.json                  the request and the batch's id, as `sierra run FILE.json` accepts them
-DIR/runs/<experiment>/<number>/ a run: its input files, `command.json`, and the empty folder `output`
+DIR/batch.json                  the request and the batch's id, as `sierra run FILE.json` accepts them; and `PLACES`
+DIR/execute.sh                  executes runs by a POSIX shell, and leaves `ended.json` in the folder of each
+DIR/runs/<experiment>/<number>/ a run: its input files, `command.json`, the same as `command.sh`, and the empty folder `output`
 
 A run on robots has a folder for each place (`robot2`), which has that robot's input files, `command.json` and `output`.
+`execute.sh` cannot execute it. It cannot execute a run with ports or with programs around its command either: such runs have no
+`command.sh`.
 
-A command is to be started in the folder `output`, as SIERRA does, and its paths of the run are relative to that folder:
-`{input}` is `../input.xml`, `{output}` is `.`, and `{run}` is `..`. All is written beside DIR first and then renamed, so that
-an incomplete folder never has this name.
+A command is to be started in the folder `output`, as SIERRA does, and its paths of the run are relative to that folder, also in
+input files: `{input}` is `../input.xml`, `{output}` is `.`, and `{run}` is `..`. All is written beside DIR first and then
+renamed, so that an incomplete folder never has this name.
 """
 
 from __future__ import annotations
@@ -18,8 +21,10 @@ import json
 import os
 import shlex
 import shutil
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import NotRequired, TypedDict
 
 from sierra.containers.engines.base import HERE, PROJECT
 from sierra.containers.images.image import Image, here
@@ -28,23 +33,39 @@ from sierra.design.query.query_request import KEY
 from sierra.errors import Missing, UsageError
 from sierra.execution.commands import CommandBuilder
 from sierra.execution.plan import Plan
-from sierra.model import Job, Member
+from sierra.model import Batch, Job, Run
 from sierra.store.layout import RUN_OUTPUT
 from sierra.store.row_types import SharedFileRow
 from sierra.store.segments import disk_errors
 from sierra.templates.base import PORTS
+from sierra.util import processors
 from sierra.util.fs import inside
 from sierra.util.hashing import sha256_file
 from sierra.util.lazy_definitions import dataclass, regex
 from sierra.util.scratch import scratch
+from sierra.worker.job import CONDUCTED
 
 MANIFEST, REQUEST, RUNS, COMMAND = "manifest.csv", "batch.json", "runs", "command.json"
+EXECUTE, SCRIPT, ENDED = "execute.sh", "command.sh", "ended.json"
+PLACES = ("project", "python", "arch")
+"""The texts of the machine that writes a folder that commands may name; `REQUEST` has them."""
 UNFINISHED = ".sierra-inputs-"
 """The beginning of the names of folders with unfinished inputs."""
 COLUMNS = ("run", "experiment", "number", "seed", "folder")
 OWN = ("SIERRA_RUN_ID", "SIERRA_SEED", "SIERRA_ROBOT", "SIERRA_ROBOTS")
 """The variables of a run that are not declared but mean the same everywhere."""
 _OF_RUN = regex(rf"{HERE}(/{RUN_OUTPUT}(?![\w.-]))?")
+
+
+class _Command(TypedDict):
+    """The content of `command.json`."""
+
+    argv: list[str]
+    line: str
+    folder: str
+    environment: dict[str, str]
+    image: NotRequired[str]
+    image_id: NotRequired[str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,58 +105,94 @@ def write(plan: Plan, folder: Path, selection: Selection | None = None) -> Writt
 
 def _write_all(plan: Plan, folder: Path, ordinals: frozenset[int]) -> int:
     """Write everything; return the number of runs."""
-    builder = _builder(plan)
-    experiments = plan.batch.experiments
-    widths = len(str(len(experiments) - 1)), len(str(max(len(experiment.runs) for experiment in experiments) - 1))
+    places = own_places(plan)
+    builder = command_builder(plan, places)
     axes = [axis.name for axis in plan.batch.axes]
+    shutil.copyfile(Path(__file__).with_name(EXECUTE), folder / EXECUTE)
     count = 0
     with (folder / MANIFEST).open("w", encoding="utf-8", newline="") as file:
         manifest = csv.writer(file, lineterminator="\n")
         manifest.writerow([*COLUMNS, *(f"{name}_value" if name in COLUMNS else name for name in axes)])
         for run, files in plan.inputs.files(plan.batch, lambda run: run.experiment in ordinals):
-            run_folder = f"{RUNS}/{run.experiment:0{widths[0]}}/{run.number:0{widths[1]}}"
-            _write_run(inside(folder, run_folder), builder.job(run, files), plan)
+            name = run_folder(plan.batch, run)
+            _write_run(inside(folder, name), builder.job(run, files), plan)
             values = plan.batch.experiments[run.experiment].values
-            manifest.writerow([run.id, run.experiment, run.number, run.seed, run_folder, *(values[name] for name in axes)])
+            manifest.writerow([run.id, run.experiment, run.number, run.seed, name, *(values[name] for name in axes)])
             count += 1
-    request = plan.request.model_dump(mode="json", exclude_defaults=True)
-    (folder / REQUEST).write_text(json.dumps({KEY: request, "batch": plan.batch.id}, indent=2) + "\n", "utf-8")
+    request = {KEY: plan.request.model_dump(mode="json", exclude_defaults=True), "batch": plan.batch.id, **places}
+    (folder / REQUEST).write_text(json.dumps(request, indent=2) + "\n", "utf-8")
     return count
 
 
+def run_folder(batch: Batch, run: Run) -> str:
+    """Return the path of a run's folder in the folder of its batch. The order of these paths is that of the runs."""
+    experiments = batch.experiments
+    widths = len(str(len(experiments) - 1)), len(str(max(len(experiment.runs) for experiment in experiments) - 1))
+    return f"{RUNS}/{run.experiment:0{widths[0]}}/{run.number:0{widths[1]}}"
+
+
 def _write_run(folder: Path, job: Job, plan: Plan) -> None:
-    (folder / RUN_OUTPUT).mkdir(parents=True)
-    for name, content in job.files:
-        if name in (COMMAND, RUN_OUTPUT):
-            raise UsageError(f"an input file is called {name!r}, as a file that SIERRA writes beside it; use another name")
+    for place in (".", *(f"robot{member.place}" for member in job.members)):
+        (folder / place / RUN_OUTPUT).mkdir(parents=True)
+    for name, content in run_files(job, plan).items():
         path = inside(folder, name)
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(_with_names(content.decode("latin-1")).encode("latin-1"))
+        path.write_bytes(content)
     for row in plan.shared_files:
         _copy(plan.project.root / row.name, inside(folder, row.name), row)
+
+
+def run_files(job: Job, plan: Plan) -> dict[str, bytes]:
+    """Return the files in the folder of a run by their names, without those that lie beside the inputs of all runs."""
+    files = {name: _filled(content, job.folders) for name, content in job.files}
+    for name in files.keys() & {COMMAND, SCRIPT, ENDED, RUN_OUTPUT}:
+        raise UsageError(f"an input file is called {name!r}, as a file that SIERRA writes beside it; use another name")
     if not job.members:
-        _write_command(folder, job.argv, job.environment, plan)
+        command = _command(job.argv, job.environment, plan)
+        files[COMMAND] = _as_json(command)
+        if not _is_incomplete(job, command):
+            files[SCRIPT] = _script(job.run, command)
     for member in job.members:
-        _write_member(folder / f"robot{member.place}", member, plan)
+        placed = member.at(HERE, "{project}", "{arch}")
+        folder = f"robot{member.place}"
+        files |= {f"{folder}/{name}": _filled(content, placed.folders) for name, content in member.files}
+        files[f"{folder}/{COMMAND}"] = _as_json(_command(placed.argv, placed.environment, plan))
+    return files
 
 
-def _write_member(folder: Path, one: Member, plan: Plan) -> None:
-    """Write the inputs and the command of one robot; `{project}` is the folder of the code on it, `{arch}` its processor."""
-    (folder / RUN_OUTPUT).mkdir(parents=True)
-    for name, content in one.files:
-        path = inside(folder, name)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(_with_names(content.decode("latin-1")).encode("latin-1"))
-    placed = one.at(HERE, "{project}", "{arch}")
-    _write_command(folder, placed.argv, placed.environment, plan)
-
-
-def _write_command(folder: Path, words: Sequence[str], variables: Mapping[str, str], plan: Plan) -> None:
+def _command(words: Sequence[str], variables: Mapping[str, str], plan: Plan) -> _Command:
     argv = [_relative(word) for word in words]
-    image = {"image": plan.image.name, "image_id": plan.image.id} if plan.image else {}
-    environment = _environment(plan, variables)
-    command = {"argv": argv, "line": shlex.join(argv), "folder": RUN_OUTPUT, "environment": environment, **image}
-    (folder / COMMAND).write_text(json.dumps(command, indent=2) + "\n", "utf-8")
+    command: _Command = {
+        "argv": argv,
+        "line": shlex.join(argv),
+        "folder": RUN_OUTPUT,
+        "environment": _environment(plan, variables),
+    }
+    if plan.image:
+        command["image"], command["image_id"] = plan.image.name, plan.image.id
+    return command
+
+
+def _as_json(command: _Command) -> bytes:
+    return (json.dumps(command, indent=2) + "\n").encode()
+
+
+def _is_incomplete(job: Job, command: _Command) -> bool:
+    """Check whether a command needs free ports, or programs around it: whoever executes it must see to these."""
+    variables = (job.environment[name] for name in command["environment"])
+    texts = (*(text.encode("utf-8", "surrogateescape") for text in (*job.argv, *variables)), *(file for _, file in job.files))
+    return job.argv[:1] == (CONDUCTED,) or any(mark.encode() in text for mark in PORTS.values() for text in texts)
+
+
+def _script(run: str, command: _Command) -> bytes:
+    """Return the script that executes the command of a run in its folder for outputs, with its declared variables.
+
+    `env` would take a program for a variable whose name contains `=`.
+    """
+    variables = (f"{name}={value}" for name, value in command["environment"].items())
+    through = ("sh", "-c", 'exec "$@"', "sh") if "=" in command["argv"][0] else ()
+    line = shlex.join(["env", *variables, *through, *command["argv"]])
+    return f"# run {run}\nexec {line}\n".encode("utf-8", "surrogateescape")
 
 
 def _copy(source: Path, target: Path, row: SharedFileRow) -> None:
@@ -147,10 +204,19 @@ def _copy(source: Path, target: Path, row: SharedFileRow) -> None:
     target.chmod(0o755 if row.executable else 0o644)
 
 
-def _builder(plan: Plan) -> CommandBuilder:
-    root = plan.project.root
+def own_places(plan: Plan) -> dict[str, str]:
+    """Return the texts of this machine that commands may name, as `PLACES` lists them."""
+    return {"project": str(plan.project.root), "python": sys.executable, "arch": processors.here()}
+
+
+def command_builder(plan: Plan, places: Mapping[str, str]) -> CommandBuilder:
+    """Return the builder of the commands of a plan, for a machine with these texts: see `own_places`."""
+    root = Path(places["project"])
     code = Path(PROJECT) if plan.image else root
-    return CommandBuilder(plan.batch.spec, code, plan.engine, plan.limits, "", root, image=_image(plan))
+    python, arch = places["python"], places["arch"]
+    return CommandBuilder(
+        plan.batch.spec, code, plan.engine, plan.limits, "", root, image=_image(plan), python=python, arch=arch
+    )
 
 
 def _image(plan: Plan) -> Image | None:
@@ -164,6 +230,13 @@ def _environment(plan: Plan, variables: Mapping[str, str]) -> dict[str, str]:
     image = _image(plan)
     names = {*plan.batch.spec.environment, *(image.variables if image else ()), *OWN}
     return {name: _relative(value) for name, value in sorted(variables.items()) if name in names}
+
+
+def _filled(content: bytes, folders: Mapping[str, str] | None) -> bytes:
+    """Return the content of an input file with the paths of folders in the place of their marks, and `{port}` for ports."""
+    for mark, path in (folders or {}).items():
+        content = content.replace(mark.encode(), _relative(path).encode())
+    return _with_names(content.decode("latin-1")).encode("latin-1")
 
 
 def _relative(text: str) -> str:

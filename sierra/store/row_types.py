@@ -369,7 +369,7 @@ class IsolationRow(NamedTuple):
     mode: Annotated[Kept, "run: one container for each run; worker: one container for all runs of a slot (weaker isolation)"]
     image: Annotated[Kept, "content identity of the image"]
     user: Annotated[Rewritten | None, "the user that a container's processes have on the host"]
-    network: Annotated[Kept, "none, host, or not isolated (none was requested but is not possible here)"]
+    network: Annotated[Kept, "none, host, not isolated (none was requested but is not possible here), or unknown"]
     devices: Annotated[list[Kept], "devices of the host that runs could use; gpu stands for NVIDIA GPUs"]
     mounts: Annotated[
         Rewritten | None, "files and folders of the host that runs could read, as JSON: path in the container, path on the host"
@@ -633,7 +633,11 @@ class ObservationRow(NamedTuple):
     files: Annotated[
         Rewritten, "the set of files that it executed, read, looked for or listed, as in files_read", To.FILES_READ
     ]
-    method: Annotated[Kept, "the program or the interface by which they were seen; none if the run could not be observed"]
+    method: Annotated[
+        Kept,
+        "the program or the interface by which they were seen; none if the run could not be observed, collected if another "
+        "system executed it",
+    ]
     reason: Annotated[Rewritten | None, "why it may have used other files too, in one line; NULL if all were seen"]
     notes: Annotated[list[Kept], "what cannot be seen: files that a service or another machine may have read for it"]
     distributions: Annotated[

@@ -55,6 +55,12 @@ class Use(NamedTuple):
 
 USES = {
     "argos": Use(("[platforms.argos]",), "[platforms.argos]\nthreads = 1\n", "[platforms.argos]: the platform 'argos'"),
+    "collect": Use(
+        ("collect  ",),
+        "[runners.collected]\n",
+        "[runners.collected]: the runner 'collected'",
+        ("run", "--on", "collected", "population_size=5"),
+    ),
     "explorer": Use(
         ("sierra explore", "explore  "),
     ),

@@ -87,13 +87,19 @@ def repeated(row: Mapping[str, Any], runs: int, target: str | None = None) -> Qu
 def read(path: Path) -> RequestFile:
     """Return the request in a JSON file, alone or in the JSON of a dry run. Raises Missing, UsageError."""
     try:
-        content = json.loads(read_regular(path))
+        return parse(read_regular(path), path)[0]
     except OSError as error:
         raise Missing(f"{path}: cannot be read: {error.strerror}") from error
+
+
+def parse(data: bytes, path: Path) -> tuple[RequestFile, Mapping[str, Any]]:
+    """Return the request in the content of a file, and everything in it. Raises UsageError."""
+    try:
+        content = json.loads(data)
     except (ValueError, RecursionError) as error:
         raise UsageError(f"{path}: not JSON: {error}") from error
     if not isinstance(content, dict):
         raise UsageError(f'{path}: a request should be an object, as in {{"criteria": ["population_size.Log8"]}}')
     if KEY in content:
-        return options(RequestFile, content, str(path))
-    return RequestFile(request=options(QueryRequest, content, str(path)), batch=None)
+        return options(RequestFile, content, str(path)), content
+    return RequestFile(request=options(QueryRequest, content, str(path)), batch=None), content

@@ -30,7 +30,8 @@ CREATE TEMP TABLE used AS SELECT DISTINCT path, sha256 FROM (
 OF_PROJECT = "SELECT path, sha256 FROM used WHERE starts_with(path, '{project}/') ORDER BY ALL"
 MACHINE = "SELECT path, sha256 FROM used WHERE NOT starts_with(path, '{project}/') ORDER BY ALL"
 UNOBSERVED = """
-SELECT count(*) FROM effective f ANTI JOIN (SELECT execution FROM observations WHERE method <> 'none') o USING (execution)
+SELECT count(*) FROM effective f
+ANTI JOIN (SELECT execution FROM observations SEMI JOIN files_read USING (files)) o USING (execution)
 """
 
 

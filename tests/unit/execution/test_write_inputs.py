@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shlex
 import signal
 import subprocess
 import sys
@@ -87,6 +88,57 @@ def test_a_command_works_in_the_output_folder_of_its_run(project: Path) -> None:
     place = project.parent / "inputs" / row["folder"]
     subprocess.run(found["argv"], cwd=place / found["folder"], check=True)
     assert (place / "output" / "swarm.csv").read_text().count("\n") == 6
+
+
+def test_marks_of_folders_in_inputs_are_filled_in(project: Path) -> None:
+    config = project / "sierra.toml"
+    change = 'changes = [{ set = "//arena/@size", value = "{output}/a {project}/b" }]\n'
+    config.write_text(change + config.read_text())
+    [row, *_] = written(project, "population_size=1")
+    arena = (project.parent / "inputs" / row["folder"] / "input.xml").read_text()
+    assert f'<arena size="./a {project}/b">' in arena
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("{input}", "{input} {port}"),
+        ("runs = 2", 'runs = 2\nbefore = "true"'),
+        ("runs = 2", 'runs = 2\nchanges = [{ set = "//arena/@size", value = "{port}" }]'),
+    ],
+)
+def test_a_command_that_needs_more_than_a_shell_has_no_script(before: str, after: str, project: Path) -> None:
+    config = project / "sierra.toml"
+    config.write_text(config.read_text().replace(before, after))
+    [row, *_] = written(project, "population_size=1")
+    folder = project.parent / "inputs" / row["folder"]
+    assert sorted(path.name for path in folder.iterdir()) == ["command.json", "input.xml", "output"]
+
+
+def test_the_script_of_a_run_has_its_id_and_its_quoted_command(project: Path) -> None:
+    [row, *_] = written(project)
+    first, line = (project.parent / "inputs" / row["folder"] / "command.sh").read_text().splitlines()
+    found = command(project, row)
+    assert first == f"# run {row['run']}"
+    variables = [f"{name}={value}" for name, value in found["environment"].items()]
+    assert shlex.split(line) == ["exec", "env", *variables, *found["argv"]]
+
+
+def test_a_program_whose_name_looks_like_a_variable_is_called_by_a_shell(project: Path) -> None:
+    config = project / "sierra.toml"
+    config.write_text(config.read_text().replace("python3 sim.py {input}", "./a=b {input}"))
+    program = project / "a=b"
+    program.write_text("#!/bin/sh\n")
+    program.chmod(0o755)
+    [row, *_] = written(project)
+    line = (project.parent / "inputs" / row["folder"] / "command.sh").read_text().splitlines()[1]
+    assert shlex.split(line)[-6:] == ["sh", "-c", 'exec "$@"', "sh", str(program), "../input.xml"]
+
+
+def test_the_folder_says_which_texts_of_this_machine_commands_name(project: Path) -> None:
+    written(project)
+    request = json.loads((project.parent / "inputs" / "batch.json").read_text())
+    assert (request["project"], request["python"]) == (str(project), sys.executable)
 
 
 def test_variables_of_the_environment_are_the_declared_ones(project: Path) -> None:

@@ -87,7 +87,7 @@ def test_a_part_of_a_batch_has_the_same_ids_and_is_reused_by_the_rest(tmp_path: 
     part, messages = run(folder, "population_size.Log8", "--only", "population_size<=2")
     assert (part["experiments"], part["selected"], part["left_out"]) == (4, 2, 4)
     assert (part["executed"], part["missing"], part["failed"]) == (4, 4, 0)
-    assert "figures and statistics of this batch lack 4 runs that --only has left out" in messages
+    assert "figures and statistics of this batch lack 4 runs that this session has left out" in messages
     [listed] = json.loads(quick(folder, "ls", "--json").stdout)
     assert (listed["runs"], listed["missing"], listed["failed"]) == (8, 4, 0)
     whole, _ = run(folder, "population_size.Log8")
