@@ -59,6 +59,8 @@ class ContainerSpec:
     network: bool = False
     devices: tuple[str, ...] = ()
     gpu: bool = False
+    gpus: str = "all"
+    """The name of NVIDIA's GPUs in CDI; the worker puts those of a run in the place of `CDI_MARK`."""
     memory: int | None = None
     """The limit in bytes, if the engine must enforce it. `cpus` limits cores, `pids` processes including their threads."""
     cpus: float | None = None
