@@ -40,6 +40,7 @@ CONTENTS = {
         "how-to/replay",
         "how-to/containers",
         "how-to/clusters",
+        "how-to/gpus",
         "how-to/hosts",
         "how-to/share",
         "how-to/packages",

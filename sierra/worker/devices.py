@@ -52,9 +52,9 @@ class NoDevices(Exception):
 
 
 class Lease(NamedTuple):
-    """The devices that a run holds: their places in the list, and the part of each."""
+    """The devices that a run holds: their positions in the list, and the part of each."""
 
-    places: tuple[int, ...]
+    indices: tuple[int, ...]
     part: float
     variables: Mapping[str, str]
     ids: tuple[str, ...]
@@ -175,28 +175,28 @@ class Pool:
             raise NoDevices("[limits] gpus = %g, but %s listed in %s or %s" % (gpus, listed, CUDA, ROCR))
         with self._turn, self._changed:
             while not is_stopping():
-                places = self._free(gpus)
-                if places is not None:
+                indices = self._free(gpus)
+                if indices is not None:
                     part = min(gpus, 1.0)
-                    for place in places:
-                        self._used[place] += part
-                    return Lease(places, part, self._variables(places), tuple(self._ids[place] for place in places))
+                    for index in indices:
+                        self._used[index] += part
+                    return Lease(indices, part, self._variables(indices), tuple(self._ids[index] for index in indices))
                 self._changed.wait(POLL_S)
         return None
 
     def give_back(self, lease: Lease) -> None:
         with self._changed:
-            for place in lease.places:
-                self._used[place] = max(0.0, self._used[place] - lease.part)
+            for index in lease.indices:
+                self._used[index] = max(0.0, self._used[index] - lease.part)
             self._changed.notify_all()
 
     def _free(self, gpus: float) -> tuple[int, ...] | None:
-        """Return the places of devices with room for a run, the least used ones first; None if there are too few."""
-        room = [place for place, used in enumerate(self._used) if used + min(gpus, 1.0) <= 1 + EXACT]
+        """Return the positions of devices with room for a run, the least used ones first; None if there are too few."""
+        room = [index for index, used in enumerate(self._used) if used + min(gpus, 1.0) <= 1 + EXACT]
         count = max(1, int(gpus))
         chosen = sorted(room, key=self._used.__getitem__)[:count]
         return tuple(sorted(chosen)) if len(chosen) == count else None
 
-    def _variables(self, places: Sequence[int]) -> dict[str, str]:
-        parts = {name: ",".join(ids[place] for place in places) for name, ids in self._lists.items()}
+    def _variables(self, indices: Sequence[int]) -> dict[str, str]:
+        parts = {name: ",".join(ids[index] for index in indices) for name, ids in self._lists.items()}
         return without_indices({**self._whole, **parts})
