@@ -104,7 +104,8 @@ def slots_of(table: ClusterTable, gpus: float | None) -> int:
         return table.cpus
     if (table.gpus or 0) < gpus:
         has = "an array task has none" if table.gpus is None else f"an array task has {table.gpus}"
-        raise ConfigError(f"runs request {gpus:g} GPUs each ([limits] gpus), but {has}; set gpus = {math.ceil(gpus)} or more")
+        each = f"{gpus:g} GPU{'s' if gpus > 1 else ''} each ([limits] gpus)"
+        raise ConfigError(f"runs request {each}, but {has}; set gpus = {math.ceil(gpus)} or more")
     return min(table.cpus, runs_at_once(table.gpus or 0, gpus))
 
 

@@ -169,13 +169,14 @@ def test_runs_see_the_devices_of_their_slot(simulate: Callable[..., Simulated], 
 
 
 @pytest.mark.nightly
+@pytest.mark.usefixtures("slurm")
 def test_runs_hold_gpus_of_their_array_task(simulate: Callable[..., Simulated]) -> None:
     made = simulate('printf "t,v,w\\n1,$CUDA_VISIBLE_DEVICES,$XLA_PYTHON_CLIENT_MEM_FRACTION\\n" > swarm.csv; sleep 1')
     config = made.folder / "sierra.toml"
     table = "[runners.slurm]\narray_tasks = 1\ncpus = 2\n"
-    config.write_text(f"{config.read_text()}[limits]\ngpus = 0.5\n{table}")
+    config.write_text(config.read_text().replace("[limits]\n", "[limits]\ngpus = 0.5\n") + table)
     project = sierra.open(made.folder)
-    with pytest.raises(ConfigError, match=r"request 0.5 GPUs each .* but an array task has none; set gpus = 1 or more"):
+    with pytest.raises(ConfigError, match=r"request 0.5 GPU each .* but an array task has none; set gpus = 1 or more"):
         project.run("size=1,2,3,4", runs=1, runner="slurm", figures=False)
     config.write_text(f"{config.read_text()}gpus = 2\n")
     project = sierra.open(made.folder)

@@ -104,5 +104,5 @@ def test_fewer_runs_at_a_time_take_more_or_longer_array_tasks() -> None:
 
 @pytest.mark.parametrize(("gpus", "limit", "cure"), [(None, 0.5, "has none; set gpus = 1"), (2, 4.0, "has 2; set gpus = 4")])
 def test_an_array_task_with_too_few_gpus_for_a_run_is_refused(gpus: int | None, limit: float, cure: str) -> None:
-    with pytest.raises(ConfigError, match=rf"request {limit:g} GPUs each \(\[limits\] gpus\), but an array task {cure}"):
+    with pytest.raises(ConfigError, match=rf"request {limit:g} GPUs? each \(\[limits\] gpus\), but an array task {cure}"):
         size(2, None, ClusterTable(gpus=gpus), Bounds(), gpus=limit)
