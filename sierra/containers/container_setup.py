@@ -130,7 +130,7 @@ class Isolation:
             mounts=json.dumps({mount.target: mount.source for mount in placed}, sort_keys=True),
             limits_asked=json.dumps(box.limits, sort_keys=True),
             limits_enforced=json.dumps({name: box.limits[name] for name in sorted(self.enforced)}),
-            argv=[word.replace("\0", "{run}") for word in client.argv],
+            argv=[word.replace("\0", "{run}").replace(CDI_MARK, "{gpus}") for word in client.argv],
         )
         fields = row._asdict()
         del fields["isolation"]
