@@ -41,6 +41,7 @@ CONTENTS = {
         "how-to/containers",
         "how-to/clusters",
         "how-to/lab",
+        "how-to/gpus",
         "how-to/hosts",
         "how-to/share",
         "how-to/packages",

@@ -78,7 +78,11 @@ CREATE TABLE executions (
     "purpose" VARCHAR,  -- run, replay or capture; only executions for run count in statistics
     "isolation" VARCHAR,  -- how it was isolated in a container; NULL if it was not
     "attempt" VARCHAR,  -- on a cluster, the attempt at an array task that executed it; NULL otherwise
-    "lamport" BIGINT  -- its position in the logical order, as in sessions
+    "lamport" BIGINT,  -- its position in the logical order, as in sessions
+    "gpus" VARCHAR[],  -- the GPUs that it was given, by index or UUID; NULL or empty: none was given to it
+    "gpu_limit" DOUBLE,  -- [limits] gpus by which it was given them; below 1 it was a share of one, and XLA_PYTHON_CLIENT_MEM_FRACTION was 0.9 times the share unless declared [1]
+    "gpu_s" DOUBLE,  -- time in which its processes kept these GPUs busy, sampled each second; NULL if unknown (no NVML, MIG, in a shared container, or too short) [s]
+    "gpu_memory_bytes" BIGINT  -- peak memory of its processes on GPUs, sampled in the same way; NULL if unknown [bytes]
 );
 
 -- Attempts on clusters: each time that an array task, which has a share of a batch's runs, was executed on a node.
@@ -697,6 +701,10 @@ CREATE TABLE all_judgements (
     "isolation" VARCHAR,  -- how it was isolated in a container; NULL if it was not
     "attempt" VARCHAR,  -- on a cluster, the attempt at an array task that executed it; NULL otherwise
     "lamport" BIGINT,  -- its position in the logical order, as in sessions
+    "gpus" VARCHAR[],  -- the GPUs that it was given, by index or UUID; NULL or empty: none was given to it
+    "gpu_limit" DOUBLE,  -- [limits] gpus by which it was given them; below 1 it was a share of one, and XLA_PYTHON_CLIENT_MEM_FRACTION was 0.9 times the share unless declared [1]
+    "gpu_s" DOUBLE,  -- time in which its processes kept these GPUs busy, sampled each second; NULL if unknown (no NVML, MIG, in a shared container, or too short) [s]
+    "gpu_memory_bytes" BIGINT,  -- peak memory of its processes on GPUs, sampled in the same way; NULL if unknown [bytes]
     "packages" VARCHAR[]  -- packages in which the execution came, as in imported_sessions; NULL if it was made here
 );
 
@@ -731,6 +739,10 @@ CREATE TABLE all_candidates (
     "isolation" VARCHAR,  -- how it was isolated in a container; NULL if it was not
     "attempt" VARCHAR,  -- on a cluster, the attempt at an array task that executed it; NULL otherwise
     "lamport" BIGINT,  -- its position in the logical order, as in sessions
+    "gpus" VARCHAR[],  -- the GPUs that it was given, by index or UUID; NULL or empty: none was given to it
+    "gpu_limit" DOUBLE,  -- [limits] gpus by which it was given them; below 1 it was a share of one, and XLA_PYTHON_CLIENT_MEM_FRACTION was 0.9 times the share unless declared
+    "gpu_s" DOUBLE,  -- time in which its processes kept these GPUs busy, sampled each second; NULL if unknown (no NVML, MIG, in a shared container, or too short)
+    "gpu_memory_bytes" BIGINT,  -- peak memory of its processes on GPUs, sampled in the same way; NULL if unknown
     "packages" VARCHAR[]  -- packages in which the execution came, as in imported_sessions; NULL if it was made here
 );
 

@@ -485,6 +485,8 @@ class Limits:
     """That marker: a path in the output folder, or `stdout` or `stderr`. None if the run is not ended by a marker."""
     contains: str | None = None
     """The text that the marker contains when it is met; None if it only needs to exist."""
+    gpus: float | None = None
+    """The GPUs that a run holds while it executes: a whole number, or its share of one. None: it requests none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -730,5 +732,12 @@ class Result:
     """Its ports in the places of `{port}`, `{port2}`, …, as far as its command, inputs and variables have these."""
     after_marker: float | None = None
     """It was ended so many seconds after its marker was met, which counts as an end by itself; None if it was not."""
+    gpus: tuple[str, ...] = ()
+    """The GPUs that it was given, by index or UUID."""
+    gpu_limit: float | None = None
+    """`Limits.gpus`, if it was given GPUs for that."""
+    gpu_s: float | None = None
+    """Seconds in which it kept GPUs busy; None if this is unknown."""
+    gpu_memory_bytes: int | None = None
     printed: tuple[int, str] | None = None
     """The size and the SHA-256 of standard output, for a result without a folder."""

@@ -51,6 +51,13 @@ Device = Annotated[
 ]
 
 
+def _whole_or_share(gpus: float) -> float:
+    """Check that more than one GPU is a whole number of them."""
+    if gpus > 1 and gpus != int(gpus):
+        raise ValueError(f"{gpus:g} should be a whole number of GPUs, or a share of one such as 0.5")
+    return gpus
+
+
 class OwnLimits(Table):
     """Limits of one execution. A missing limit means no limit."""
 
@@ -71,6 +78,11 @@ class LimitsTable(OwnLimits):
         None,
         description="time from the moment when the marker of `[success]` is met until the run is ended and counts, in seconds, "
         "for a program that does not end by itself; default: a run is never ended for its marker",
+    )
+    gpus: Annotated[Positive, AfterValidator(_whole_or_share)] | None = Field(
+        None,
+        description="GPUs that a run holds while it executes, a whole number or a share of one such as `0.25`; as many runs "
+        "execute at a time as GPUs suffice for; default: runs are given no GPU of their own",
     )
 
 

@@ -22,6 +22,7 @@ from sierra.store.row_types import IsolationRow
 from sierra.util.hashing import digest, sha256
 from sierra.util.json_types import RecordValue
 from sierra.util.lazy_definitions import dataclass, regex, replace
+from sierra.worker.devices import CDI_MARK
 
 if TYPE_CHECKING:
     from sierra.containers.images.image_contents import Contents
@@ -129,7 +130,7 @@ class Isolation:
             mounts=json.dumps({mount.target: mount.source for mount in placed}, sort_keys=True),
             limits_asked=json.dumps(box.limits, sort_keys=True),
             limits_enforced=json.dumps({name: box.limits[name] for name in sorted(self.enforced)}),
-            argv=[word.replace("\0", "{run}") for word in client.argv],
+            argv=[word.replace("\0", "{run}").replace(CDI_MARK, "{gpus}") for word in client.argv],
         )
         fields = row._asdict()
         del fields["isolation"]
@@ -221,6 +222,7 @@ def contain(
         reference=reference,
         mounts=tuple(_with_below((Mount(str(code), PROJECT), *mounts(spec, given, project)))),
         files=str(store.session(session).engine) if elsewhere else "",
+        gpus="all" if elsewhere or bounds.gpus is None else CDI_MARK,  # a scheduler's indices may be those within a job
     )
     return Isolation(engine, able, box, (*notes, *ignored(engine, able, box)), guard_file(Path(reference)) if theirs else None)
 

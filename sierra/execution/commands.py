@@ -53,7 +53,7 @@ from sierra.util import processors
 from sierra.util.hashing import digest_plain
 from sierra.util.lazy_definitions import regex
 from sierra.worker import ports, program
-from sierra.worker.devices import ALLOTTED, DEVICES
+from sierra.worker.devices import requested
 from sierra.worker.job import CONDUCTED
 from sierra.worker.layout import RUNS
 from sierra.worker.run_folder import SAFE
@@ -358,7 +358,7 @@ def arguments(files: Files) -> tuple[str, ...]:
 def limits(project: Project) -> Limits:
     """Return the limits of each execution."""
     table, success = project.limits, project.success
-    bounds = Limits(table.wall, table.cpu, table.memory, table.output, table.grace)
+    bounds = Limits(table.wall, table.cpu, table.memory, table.output, table.grace, gpus=table.gpus)
     if table.after_marker is None:
         return bounds
     return replace(bounds, after_marker_s=table.after_marker, marker=success.marker, contains=success.contains or None)
@@ -386,6 +386,7 @@ class CommandBuilder:
         box: ContainerSpec | None = None,
         programs: Path = Path(program.NAME),
         allots: bool = False,
+        stays: bool = False,
         beside: Path | None = None,
         success: Sequence[int] = (0,),
         accept: Sequence[int] = (),
@@ -397,12 +398,12 @@ class CommandBuilder:
         """Prepare the variables and containers that all jobs share.
 
         `root` is the folder of the code, `project` the user's project folder. `box` is the container specification, if runs
-        execute in containers. `programs` is the zip that containers need. `allots`: runs get the devices that the scheduler of
-        a cluster allots. `beside` is the folder of the files that lie beside the inputs of runs. With an `image` and without a
-        `box`, runs get the image's variables on this machine. `success` are the exit statuses of a successful command,
-        `accept` those of results that are no success, and `timeouts` the seconds in which services must be ready, by name.
-        `observed`: services that runs share are observed. `python` is the value of `{python}` without an image, `arch` that of
-        `{arch}`, by default this machine's processor.
+        execute in containers. `programs` is the zip that containers need. `allots`: the worker gives devices to runs. `stays`:
+        the runs execute on a cluster. `beside` is the folder of the files that lie beside the inputs of runs. With an `image`
+        and without a `box`, runs get the image's variables on this machine. `success` are the exit statuses of a successful
+        command, `accept` those of results that are no success, and `timeouts` the seconds in which services must be ready, by
+        name. `observed`: services that runs share are observed. `python` is the value of `{python}` without an image, `arch`
+        that of `{arch}`, by default this machine's processor.
         """
         self._success, self._accept = success, accept
         self._observed = observed
@@ -432,9 +433,8 @@ class CommandBuilder:
         if not (box or self._on_robots):  # a robot has a PATH of its own
             self._environment["PATH"] = search_path(self._environment)
         if allots and (box is None or box.gpu):
-            wanted = (name for name in DEVICES if name not in self._environment)
-            self._environment |= {name: ALLOTTED + name for name in wanted}
-        self._search = self._environment["PATH"] if allots and not box else None
+            self._environment |= requested(self._environment, bounds.gpus)
+        self._search = self._environment["PATH"] if stays and not box else None
         self._beside = beside
         self._shared = self._container() if box and box.shared else None
         self._same: dict[str, tuple[str, ...]] = {}

@@ -24,6 +24,12 @@ from sierra.provenance.dependency_model import Programs
 from sierra.store.layout import ProjectPaths, StorePaths
 from sierra.util.text import few
 
+NO_GPU_MEMORY = re.compile(
+    "CUDA_ERROR_OUT_OF_MEMORY|CUDA out of memory|cudaErrorMemoryAllocation|hipErrorOutOfMemory|HIP out of memory|"
+    "RESOURCE_EXHAUSTED: Out of memory|no supported devices"
+)
+"""Messages of programs that cannot reserve memory of a GPU: of CUDA, PyTorch, ROCm and JAX."""
+
 
 def unobserved(config: Project, image: AnyImage | None) -> Iterator[str]:
     """Yield a note if the project requests an observation that is not possible.
@@ -149,6 +155,18 @@ def out_of_reach(plan: Plan, logs: Sequence[str] | None) -> Iterator[str]:
             f"the template names {few([repr(word) for word in meant], 3)} by a relative path: "
             f"{where} in the project, but runs execute in other folders; {_how_to_reach(plan, paths)}"
         )
+
+
+def without_gpu_memory(gpus: float | None, logs: Sequence[str]) -> Iterator[str]:
+    """Yield a hint if runs that hold `gpus` GPUs each have failed because a GPU had too little memory, as their logs say."""
+    if message := next(filter(None, map(NO_GPU_MEMORY.search, logs)), None):
+        if gpus is None:
+            cure = "set [limits] gpus, such as 1 or 0.25, so that fewer runs use one at a time"
+        elif gpus < 1:
+            cure = f"raise [limits] gpus above {gpus:g}, so that fewer runs use one at a time"
+        else:
+            cure = "each run had its own, so that a run must use less, or needs more GPUs"
+        yield f"a GPU had too little memory ({message[0]}): {cure}"
 
 
 def _how_to_reach(plan: Plan, paths: Sequence[str]) -> str:

@@ -13,10 +13,11 @@ from pathlib import Path
 from sierra.config.execution_tables import Container
 from sierra.config.project_file import LoadedProject
 from sierra.containers import on_hosts
-from sierra.containers.container_setup import Isolation, contain
+from sierra.containers.container_setup import GPU, Isolation, contain
 from sierra.containers.engines.base import Capabilities, Engine
 from sierra.containers.images.image import AnyImage, here
 from sierra.containers.on_hosts import HostContainers
+from sierra.errors import ConfigError
 from sierra.execution import commands, shared_files
 from sierra.execution.follow import Followed, follow
 from sierra.execution.observation import choose_runs
@@ -42,6 +43,7 @@ from sierra.templates.base import Files
 from sierra.util import worker_zip
 from sierra.util.fs import write_whole
 from sierra.util.lazy_definitions import dataclass, replace
+from sierra.worker.devices import BELOW_ROCR, ROCR
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +69,7 @@ class JobService:
 
         `stays`: they execute on a cluster. `images`: the store that has the files of images, if it is not `store`.
         """
+        _check_gpus(setup)
         self._setup = setup
         self._store = store
         self._session = session
@@ -185,6 +188,7 @@ class JobService:
             ownership_marks.identity(self._store.paths),
             self._hosts,
             self.isolation.files,
+            self._setup.limits.gpus,
             self._setup.project.config.links,
         )
         recorder = Recorder(self._store, self._session.paths, context, kept, doubt)
@@ -207,7 +211,8 @@ class JobService:
             image=self._image,
             box=self._hosts.box if self._hosts else self.isolation.box,
             programs=self._session.paths.worker,
-            allots=self._stays,
+            allots=self._stays or setup.limits.gpus is not None,
+            stays=self._stays,
             beside=self._session.paths.shared if self._beside else None,
             success=success,
             accept=accept,
@@ -255,6 +260,19 @@ class JobService:
         """Return the PATH of the runs."""
         setup = self._setup
         return commands.declared(setup.spec.environment, setup.root, setup.project.root, image=self._image)["PATH"]
+
+
+def _check_gpus(setup: Setup) -> None:
+    """Check that runs that request GPUs can be given some. Raises ConfigError."""
+    spec = setup.spec
+    if setup.limits.gpus is None:
+        return
+    if spec.robots is not None:
+        raise ConfigError("[limits] gpus: runs on robots are given no GPUs; remove it")
+    if fixed := [name for name in (*BELOW_ROCR, ROCR) if name in spec.environment]:
+        raise ConfigError(f"[limits] gpus: SIERRA sets {fixed[0]} for each run, but it is also declared; remove one of both")
+    if setup.image is not None and setup.engine.name != "none" and GPU not in spec.host_access:
+        raise ConfigError("[limits] gpus: the containers of runs can use no GPU; add gpu = true to [container]")
 
 
 @contextmanager

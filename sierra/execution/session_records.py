@@ -390,7 +390,7 @@ def _cores(session: SessionPaths) -> int | None:
         submission = Submission.load(session)
     except FileNotFoundError:
         return None
-    return len(submission.counts) * submission.cluster.cpus
+    return len(submission.counts) * submission.at_once
 
 
 def _lamport(session: Session) -> int:

@@ -62,6 +62,7 @@ def proposal(
         each=None if wrote is None else OF_JOB + OF_RECORD + wrote,
         beside=_code(plan),
         waits=not detach,
+        gpus=plan.limits.gpus,
     )
 
 

@@ -8,7 +8,7 @@ from collections.abc import Set as AbstractSet
 from typing import NamedTuple
 
 from sierra.execution.plan import Plan
-from sierra.execution.plan_notes import out_of_reach
+from sierra.execution.plan_notes import out_of_reach, without_gpu_memory
 from sierra.execution.shown_records import Failed
 from sierra.execution.summary import Counted, Failure, Summary
 from sierra.model import Batch
@@ -46,7 +46,8 @@ def of_session(
     failures = tuple(_failures(plan, store, failed)) if failed else ()
     if failures:
         none_good = len(failed | missing) == runs
-        notes += tuple(out_of_reach(plan, None if none_good else [failure.log or "" for failure in failures]))
+        logs = [failure.log or "" for failure in failures]
+        notes += (*out_of_reach(plan, None if none_good else logs), *without_gpu_memory(plan.limits.gpus, logs))
     left_out = len(missing - only) if only is not None else 0
     if left_out:
         notes += (f"figures and statistics of this batch lack {counted(left_out, 'run')} that this session has left out",)

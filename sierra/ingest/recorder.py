@@ -499,6 +499,10 @@ class Recorder:
             isolation=result.isolation or (context.isolation and context.isolation.isolation),
             attempt=result.attempt,
             lamport=context.lamport(position),
+            gpus=list(result.gpus) or None,
+            gpu_limit=result.gpu_limit,
+            gpu_s=result.gpu_s,
+            gpu_memory_bytes=result.gpu_memory_bytes,
         )
 
 

@@ -52,6 +52,11 @@ class Work:
     """The containers in which robots execute runs; None without containers."""
     files: tuple[Path, ...] = ()
     """Files and folders that jobs name beside the code, for hosts that share no file system: the image, and mounts."""
+    gpus: float | None = None
+    """The most GPUs that one of the runs holds, or its share of one (`Limits.gpus`). None: they request none.
+
+    A runner that does not give GPUs to runs raises ConfigError in `submit` if there are any: see `no_gpus`.
+    """
     links: Tables = field(default_factory=dict)
     """The options of links to hosts, as `[links.NAME]` has them, for runners that reach hosts by a link."""
 

@@ -133,5 +133,7 @@ def result_of(record: Outcome, **more: object) -> Result:
     outputs = tuple(OutputFile(**file) for file in record["outputs"])
     elsewhere = tuple(f"{{run}}/{name}" for name in record.get("elsewhere", ()))
     robots = {int(place): name for place, name in cast("Mapping[str, Any]", record).get("robots", {}).items()}
-    lists = {name: tuple(cast("Mapping[str, Any]", record).get(name, ())) for name in ("left_out", "left_running", "ports")}
+    lists = {
+        name: tuple(cast("Mapping[str, Any]", record).get(name, ())) for name in ("left_out", "left_running", "ports", "gpus")
+    }
     return made(Result, record, outputs=outputs, elsewhere=elsewhere, robots=robots, **lists, **more)

@@ -15,11 +15,12 @@ from dataclasses import asdict
 from functools import lru_cache
 from itertools import chain
 from pathlib import Path
-from typing import ClassVar, cast
+from typing import Annotated, ClassVar, Literal, cast
+
+from pydantic import BeforeValidator, Field, PositiveInt
 
 from sierra.config.field_types import Table
-from sierra.config.plugin_registry import NoOptions
-from sierra.errors import Missing
+from sierra.errors import ConfigError, Missing
 from sierra.model import Job, Limits, Result, Status
 from sierra.runners.base import Look, Work
 from sierra.runners.journal_reader import Journal, Stalled, Started
@@ -28,6 +29,8 @@ from sierra.util import open_files, signals
 from sierra.util.lazy_logger import Log, shown
 from sierra.worker import program
 from sierra.worker.containers import CLEAN_S
+from sierra.worker.devices import NoDevices, ids_in
+from sierra.worker.gpus import with_gpus
 from sierra.worker.job import GRACE_S
 from sierra.worker.job import Job as JobRecord
 from sierra.worker.job import Limits as LimitsRecord
@@ -40,6 +43,31 @@ LATE_S = 4.0
 STOPPED = "stopped the worker (SIGSTOP) although it had been continued before, or executed beside a run that did"
 
 
+def _listed(value: object) -> object:
+    """Check the GPUs of `[runners.local]`; a list in TOML becomes a tuple of texts."""
+    if value == "auto" or (isinstance(value, int) and not isinstance(value, bool) and value > 0):
+        return value
+    if isinstance(value, list | tuple) and value:
+        words = [str(word) for word in value]
+        if [*map(str, value)] == ids_in(",".join(words)):
+            return tuple(words)
+    raise ValueError('should be "auto", a number of GPUs, or a list of their indices or UUIDs, such as [0, 1]')
+
+
+class LocalTable(Table):
+    """This machine as a runner."""
+
+    gpus: Annotated[
+        Literal["auto"] | int | tuple[str, ...],
+        BeforeValidator(_listed, json_schema_input_type=Literal["auto"] | PositiveInt | tuple[int | str, ...]),
+    ] = Field(
+        "auto",
+        description="GPUs for runs that request some by `[limits] gpus`: `auto` (all that this process may use), a number of "
+        "these, or a list of indices (as in nvidia-smi) or UUIDs, such as `[0, 1]`",
+        examples=["auto", 2, [0, 1]],
+    )
+
+
 class Local:
     """The runner `local`. The worker ends all runs as soon as this process is gone, because the pipe closes.
 
@@ -50,10 +78,13 @@ class Local:
     name = "local"
     stays = False
     remote = False
-    Options: ClassVar[type[Table]] = NoOptions
+    Options: ClassVar[type[Table]] = LocalTable
 
     def __init__(self, slots: int, options: Table | None = None) -> None:
         self._slots = slots
+        self._table = options if isinstance(options, LocalTable) else LocalTable()
+        self._environment: Mapping[str, str] = os.environ
+        """The variables of the worker."""
         self._process: subprocess.Popen[bytes] | None = None
         self._trouble: BaseException | None = None
         self._end_by: float | None = None
@@ -69,6 +100,13 @@ class Local:
         """When this process has learnt of the start of each running execution."""
 
     def submit(self, work: Work, session: SessionPaths) -> None:
+        if work.gpus is not None:
+            try:
+                self._environment = with_gpus(os.environ, work.gpus, self._table.gpus)
+            except NoDevices as error:
+                raise Missing(str(error)) from error
+        elif "gpus" in self._table.model_fields_set:
+            raise ConfigError("[runners.local] gpus has no effect: runs request no GPUs; set [limits] gpus, such as 1 or 0.5")
         self._session = session
         self._journal = Journal(session.journal)
         self._journal.skip()
@@ -87,7 +125,7 @@ class Local:
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             start_new_session=True,
-            env={**os.environ, "SIERRA_SESSION": session.root.name},
+            env={**self._environment, "SIERRA_SESSION": session.root.name},
         )
         open_files.restore(self._process.pid)
         jobs = chain(again, self._jobs)

@@ -238,6 +238,26 @@ class ExecutionRow(NamedTuple):
     isolation: Annotated[IsolationId | None, "how it was isolated in a container; NULL if it was not"]
     attempt: Annotated[AttemptId | None, "on a cluster, the attempt at an array task that executed it; NULL otherwise"]
     lamport: Annotated[int, "its position in the logical order, as in sessions"]
+    gpus: Annotated[
+        list[Dropped] | None, "the GPUs that it was given, by index or UUID; NULL or empty: none was given to it", LATER
+    ] = None
+    gpu_limit: Annotated[
+        float | None,
+        "[limits] gpus by which it was given them; below 1 it was a share of one, and XLA_PYTHON_CLIENT_MEM_FRACTION was 0.9 "
+        "times the share unless declared",
+        "1",
+        LATER,
+    ] = None
+    gpu_s: Annotated[
+        float | None,
+        "time in which its processes kept these GPUs busy, sampled each second; NULL if unknown (no NVML, MIG, in a shared "
+        "container, or too short)",
+        "s",
+        LATER,
+    ] = None
+    gpu_memory_bytes: Annotated[
+        int | None, "peak memory of its processes on GPUs, sampled in the same way; NULL if unknown", "bytes", LATER
+    ] = None
 
 
 class AttemptRow(NamedTuple):

@@ -35,7 +35,9 @@ from pathlib import Path
 from typing import Any, Iterator, Mapping, NamedTuple, Sequence
 
 from sierra.worker import program
+from sierra.worker.devices import NoDevices
 from sierra.worker.files import last_line_of
+from sierra.worker.gpus import with_gpus
 from sierra.worker.journal import GrowingJournal
 from sierra.worker.machine import usable_cores
 from sierra.worker.package_places import Place, arch, place_of, shown_command
@@ -163,7 +165,7 @@ class Execution:
         runs = self.folder / "runs"
         runs.mkdir()
         words = program.words(str(runs), str(self.slots), str(self.folder / "journal.jsonl"))
-        environment = {**os.environ, "SIERRA_SESSION": self.session}
+        environment = {**self.variables(), "SIERRA_SESSION": self.session}
         with (self.folder / "worker.log").open("wb") as log:
             process = subprocess.Popen(words, stdin=subprocess.PIPE, stderr=log, env=environment, start_new_session=True)
         feeder = threading.Thread(target=self.feed, args=(process,), daemon=True)
@@ -181,6 +183,14 @@ class Execution:
         if self.trouble or process.returncode or self.pending:
             reason = clean(self.trouble or "") or clean(last_line_of(str(self.folder / "worker.log")))
             raise missing(f"not all runs were executed: {reason}")
+
+    def variables(self) -> Mapping[str, str]:
+        """Return the variables of the worker, with the GPUs for runs. Raises Stop if there are too few."""
+        gpus = self.batch.limits.get("gpus")
+        try:
+            return os.environ if gpus is None else with_gpus(os.environ, gpus)
+        except NoDevices as error:
+            raise missing(str(error)) from None
 
     def feed(self, process: subprocess.Popen[bytes]) -> None:
         """Send all jobs, and hold the pipe open until the worker has ended."""

@@ -22,6 +22,7 @@ class Limits(TypedDict, total=False):
     after_marker_s: float
     marker: str
     contains: str
+    gpus: float
 
 
 class Program(TypedDict):
@@ -77,6 +78,8 @@ class Job(Program):
     """
     own_ports: NotRequired[Sequence[int]]
     """The ports that the worker has chosen for it."""
+    gpus: NotRequired[Sequence[str]]
+    """The devices that the worker has given to it."""
     again: NotRequired[bool]
     """In a request: one more run is to be observed after the next."""
     unobserved: NotRequired[str]

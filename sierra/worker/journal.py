@@ -61,6 +61,10 @@ class Remains(TypedDict):
     left_running: NotRequired[list[str]]
     ports: NotRequired[list[int]]
     after_marker: NotRequired[float]
+    gpus: NotRequired[list[str]]
+    gpu_limit: NotRequired[float | None]
+    gpu_s: NotRequired[float | None]
+    gpu_memory_bytes: NotRequired[int | None]
 
 
 class Start(TypedDict):

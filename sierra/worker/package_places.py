@@ -14,6 +14,7 @@ import sys
 from pathlib import Path
 from typing import Any, Callable, Iterable, Iterator, Mapping, Sequence, Union
 
+from sierra.worker.devices import requested
 from sierra.worker.job import CONDUCTED
 from sierra.worker.package_plan import ARCH_MARK, EXECUTION, PROJECT_MARK, PYTHON_MARK, Batch, Run, is_safe, missing
 from sierra.worker.reproduce import ENGINES, HOST, clean
@@ -57,6 +58,8 @@ def job_of(batch: Batch, run: Run, marks: dict[str, str]) -> dict[str, Any]:
     """Return the command, the environment and the folders of a run, with these texts in the place of the marks."""
     marks = {**marks, ARCH_MARK: arch()}
     environment: dict[str, Any] = {**batch.environment, **run.environment}
+    if "gpus" in batch.limits:
+        environment.update(requested(environment, batch.limits["gpus"]))
     return {
         "argv": command(run.argv, marks),
         "environment": {name: filled(text, marks) for name, text in environment.items() if text is not None},

@@ -32,6 +32,7 @@ from sierra.worker.layout import LOGS
 from sierra.worker.reproduce import Stop, clean
 
 FORMAT = "sierra execution 2"
+MOST_GPUS = 1024
 EXECUTION = "execution"
 PLAN = "plan.json"
 PROJECT_MARK = "/@sierra-project@"
@@ -207,6 +208,8 @@ def texts_of(value: Any) -> dict[str, str]:
 
 def limit_of(name: str, value: Any) -> Any:
     """Return a limit of runs: a number, or what the marker is that may end them."""
+    if name == "gpus" and not 0 < float(value) <= MOST_GPUS:
+        raise ValueError(f"{value!r} is no number of GPUs")
     if name not in ("marker", "contains"):
         return float(value)
     if name == "marker" and not is_safe(text_of(value)):

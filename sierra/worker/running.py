@@ -59,6 +59,7 @@ if TYPE_CHECKING:
     from resource import struct_rusage
 
     from sierra.worker.file_trace import Observation
+    from sierra.worker.nvml import GpuUsage
     from sierra.worker.shared_services import SharedServices
 
 LOG_BYTES = 256 << 20  # limit for standard output and for standard error, independent of the configured limits
@@ -90,6 +91,7 @@ class Running:
         self.limits = job["limits"]
         self.client = with_folder(job["client"], folder) if "client" in job else None
         self.meter = Meter(self) if self.client else None
+        self.gpu_usage: GpuUsage | None = None
         self.measured = any(self.limits.get(name) is not None for name in ("cpu_s", "memory_bytes", "output_bytes"))
         watched = self.limits.get("after_marker_s") is not None and not self.conducted
         self.marker: Marker | None = Marker(folder, self.limits) if watched else None

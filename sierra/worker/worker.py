@@ -47,7 +47,7 @@ from typing import TYPE_CHECKING, Mapping, Sequence, TextIO
 
 from sierra.worker.conductor_report import report_of
 from sierra.worker.containers import PROGRAM, HeldContainer, await_orphans, end_container
-from sierra.worker.devices import with_own_devices
+from sierra.worker.devices import Lease, NoDevices, Pool, requests_devices, with_leased, with_own_devices
 from sierra.worker.errors import explain, why_not_started
 from sierra.worker.files import CHUNK, check_room, entries_of, is_folder, is_full, remove, unlink
 from sierra.worker.free_ports import NoFreePort, Ports
@@ -81,6 +81,7 @@ from sierra.worker.wakeup_pipe import WakeupPipe
 
 if TYPE_CHECKING:
     from sierra.worker.file_trace import Way
+    from sierra.worker.nvml import GpuSampler, GpuUsage
 
 STOPPED, FAILED, FULL = 1, 3, 4  # exit statuses
 GIVE_UP_S = 5.0  # to read the outputs of ended runs after the worker was told to stop
@@ -116,6 +117,11 @@ class Worker:
         self.jobs: queue.Queue[Job | None] = queue.Queue(maxsize=2 * slots)
         self.running: dict[int, Running] = {}
         self.containers: dict[int, Container] = {}
+        self.devices = Pool(os.environ)
+        self.leases: dict[int, Lease] = {}
+        """The devices of the slots' containers."""
+        self.sampler: GpuSampler | None = None
+        self.starting_sampler = threading.Lock()
         self.contains = False
         self.stopping = self.terminated = self.without_grace = False
         self.stop_reading_at = 0.0
@@ -224,14 +230,39 @@ class Worker:
                 break
             self.contains = self.contains or "client" in job
             try:
-                job = with_own_devices(job, number, self.slots)
-                self.execute_with_ports(job, number)
+                self.execute_with_devices(job, number)
             except Exception as error:
                 self.fail(error)
         container = self.containers.pop(number, None)
         if container is not None:
             container.close()
+        if number in self.leases:
+            self.devices.give_back(self.leases.pop(number))
         self.wakeup.wake()
+
+    def execute_with_devices(self, job: Job, slot: int) -> None:
+        """Execute one run, which has GPUs of its own until it has ended, or those of its slot's container, if it needs any."""
+        gpus = job["limits"].get("gpus")
+        if gpus is None or not requests_devices(job):
+            self.execute_with_ports(with_own_devices(job, slot, self.slots), slot)
+            return
+        lease = self.leases.get(slot)
+        if lease is None:
+            try:
+                lease = self.devices.take(gpus, lambda: self.stopping)
+            except NoDevices as error:
+                began, started = self.now()
+                self.report(job, slot, self.next_folder(), began, time.monotonic() - started, no_outputs(str(error)))
+                return
+        if lease is None:
+            return
+        if job.get("shared"):
+            self.leases[slot] = lease
+        try:
+            self.execute_with_ports(with_leased(job, lease), slot)
+        finally:
+            if slot not in self.leases:
+                self.devices.give_back(lease)
 
     def execute_inside(self, job: Job, slot: int) -> None:
         """Execute one run in the slot's container. Starts the container if there is none."""
@@ -347,6 +378,7 @@ class Worker:
         self.note(running, {"event": "start", "execution": running.execution, "pid": running.pid, "born": birth(running.pid)})
         if running.limited or observation or self.stopping:
             self.wakeup.wake()
+        running.gpu_usage = self.gpu_usage(job)
         status, usage = await_end(running)
         wall = time.monotonic() - started
         process.returncode = status
@@ -406,6 +438,8 @@ class Worker:
             remains["after_marker"] = after_marker
         if job.get("own_ports"):
             remains["ports"] = list(job["own_ports"])
+        if running.gpu_usage:
+            remains["gpu_s"], remains["gpu_memory_bytes"] = running.gpu_usage.seconds, running.gpu_usage.memory
         if job.get("waits") and not held and running.meter:
             remains["delay_s"] = wall if running.meter.since is None else running.meter.since - running.started
         self.report(job, slot, folder, began, wall, remains, status, running.meter.report() if running.meter else used(usage))
@@ -492,6 +526,21 @@ class Worker:
         unobserved["unobserved"] = reason
         self.execute(unobserved, slot)
 
+    def gpu_usage(self, job: Job) -> GpuUsage | None:
+        """Return what measures the use of GPUs by a run; None if it has none, or if NVML or ctypes is not installed here.
+
+        In a container, process ids are not those that NVML tells.
+        """
+        if not job.get("gpus") or "seal" in job:
+            return None
+        with contextlib.suppress(ImportError), self.starting_sampler:
+            from sierra.worker import nvml
+
+            if self.sampler is None and (library := nvml.opened()) is not None:
+                self.sampler = nvml.GpuSampler(library)
+            return nvml.GpuUsage(self.sampler) if self.sampler else None
+        return None
+
     def await_signal(self) -> None:
         """Give a SIGTERM that has ended a run time to reach this process too: a scheduler sends it to one after the other."""
         deadline = time.monotonic() + SPREAD_S
@@ -542,6 +591,8 @@ class Worker:
             "slot": slot,
             **remains,
         }
+        if job.get("gpus"):
+            event["gpus"], event["gpu_limit"] = list(job["gpus"]), job["limits"].get("gpus")
         self.journal.write(event, job.get("seal"))
 
     def continue_inside(self, now: float) -> None:
@@ -581,6 +632,8 @@ class Worker:
             if run.meter:
                 run.meter.read(now)
                 due.append(run.meter.due)
+            if run.gpu_usage:
+                run.gpu_usage.read(run.pids)
             if self.stopping:
                 run.stop("interrupted")
             if self.without_grace:

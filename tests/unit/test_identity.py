@@ -13,6 +13,7 @@ import pytest
 import sierra
 from sierra.config.output_tables import Output, Success
 from sierra.containers.container_setup import Isolation
+from sierra.containers.engines import podman
 from sierra.containers.engines.base import Capabilities, ContainerSpec, Mount, NoEngine, Process
 from sierra.containers.images.image import Image, Kind, variants_id
 from sierra.design.seeds import seed
@@ -24,6 +25,7 @@ from sierra.provenance.dependency_model import fingerprint
 from sierra.provenance.source.capture import Source
 from sierra.provenance.source.manifest import tree_hash
 from sierra.util.hashing import digest, digest_plain, merkle
+from sierra.worker.devices import CDI_MARK
 from tests import projects
 
 TOML = """
@@ -302,6 +304,26 @@ def test_id_of_an_isolation_is_unchanged_and_independent_of_the_session() -> Non
     assert (row.isolation, row.argv) == (ISOLATION, ["fake", "--cid={run}/id", "--session=", "sim"])
     assert Isolation(Engine(), able, replace(box, session="t")).row == row
     assert Isolation(Engine(), able).row is None
+
+
+class PodmanWords(NoEngine):
+    """An engine that returns podman's command line, without a look at how podman starts here."""
+
+    name = "podman"
+
+    def client(self, box: ContainerSpec, process: Process) -> Client:
+        return Client(podman.words(box, process), {})
+
+
+def test_record_of_containers_has_no_gpus_of_single_runs() -> None:
+    image = Image("sim", "sha256:" + "0" * 64, Kind.OCI, "amd64", (), {})
+    box = ContainerSpec(image, "sim", "s", gpu=True)
+    words = ["--device=nvidia.com/gpu=all", "--device=nvidia.com/gpu={gpus}"]
+    for names, word in zip(("all", CDI_MARK), words, strict=True):
+        row = Isolation(PodmanWords(), Capabilities("podman 4"), replace(box, gpus=names)).row
+        assert row is not None
+        assert (word in row.argv, row.devices) == (True, ["gpu"])
+        assert not any(not text.isprintable() for text in row.argv)
 
 
 def test_fast_digest_of_plain_text_fields_equals_the_general_digest() -> None:

@@ -69,6 +69,8 @@ class ContainerSpec:
     """True if one container executes many runs, one after the other; false if each run has its own."""
     files: str = ""
     """A folder for the engine's own files that all hosts can read; empty if containers start only on this host."""
+    gpus: str = "all"
+    """The name of NVIDIA's GPUs in CDI; the worker puts those of a run in the place of `CDI_MARK`."""
 
     @property
     def limits(self) -> dict[str, float]:

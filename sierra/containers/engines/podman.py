@@ -165,7 +165,7 @@ def _options(
     yield from map(mounted, (*box.mounts, *process.mounts))
     yield from (f"--device={device}" for device in box.devices)
     if box.gpu:
-        yield "--device=nvidia.com/gpu=all"
+        yield f"--device=nvidia.com/gpu={box.gpus}"
     if box.memory is not None and "memory" in enforced:
         yield from podman_ways_to_start.memory_options(box.memory, host)
     if box.cpus is not None and "cpus" in enforced:

@@ -51,17 +51,21 @@ class HostConnection:
         links: Mapping[str, Mapping[str, Any]],
         session: str,
         contents: Mapping[str, str],
+        gpus: float | None,
         have: Callable[[], Mapping[str, int]],
         handle: Callable[[HostConnection, Record, bytes], None],
     ) -> None:
         """`session` names the folder of the session there. `contents` are what is copied there: kinds by paths.
+
+        `gpus` is the number of GPUs that a run requests, or its share of one; None: it requests none.
 
         `have` returns the bytes of each result log that this machine has. `handle` is called by this thread, for the events of
         the host and for those of the connection: `connected` and `lost`, with the reason.
         """
         self.host = host
         self.name = host.name
-        self.cores = 0
+        self.slots = 0
+        """The number of runs that it executes at a time."""
         self.clock: Clock | None = None
         self.folder = ""
         """The absolute path of the session's folder there."""
@@ -71,7 +75,7 @@ class HostConnection:
         """When something came from the host, in seconds since boot, in which a suspended computer also counts."""
         self.connected = False
         self._table, self._session, self._contents = table, session, contents
-        self._have, self._handle = have, handle
+        self._have, self._handle, self._gpus = have, handle, gpus
         kind = table.link
         self._link = LINKS.make(kind, {kind: {**links.get(kind, {}), **table.link_options}}, host.name)
         if not isinstance(self._link, Commands):
@@ -125,10 +129,14 @@ class HostConnection:
         self._exchange = exchange = self._link.stream(argv)
         try:
             slots, lease = self.host.slots, self._table.lease
-            exchange.send(_line("hello", slots=slots, lease=lease, have=self._have()), LOST_S)
+            exchange.send(_line("hello", slots=slots, lease=lease, gpus=self._gpus, have=self._have()), LOST_S)
             while (hello := self._next(exchange)[0])["event"] != "hello":
                 """The first sign of life may come before the answer."""
-            self.cores = int(hello["cores"])
+            self.slots = int(hello["slots"])
+            if self.slots < 1:
+                raise Unusable(
+                    f"{self.name}: runs request {self._gpus:g} GPUs each ([limits] gpus), and it has {hello['gpus']}"
+                )
             early: list[tuple[Record, bytes]] = []
             self.clock = measured(lambda: self._ask_clock(exchange, early), time.time_ns)
             self._outgoing = queue.SimpleQueue()

@@ -68,7 +68,7 @@ class LabHost:
 
     @property
     def slots(self) -> int:
-        return self.connection.host.slots or self.connection.cores
+        return self.connection.slots
 
     @property
     def is_ready(self) -> bool:
@@ -124,7 +124,7 @@ class Lab:
             return
         self._logs = ResultLogs(session)
         if work is not None:
-            tasks.contents, tasks.links = self._contents(work), cast(Links, work.links)
+            tasks.contents, tasks.links, tasks.gpus = self._contents(work), cast(Links, work.links), work.gpus
         tasks.without_end = False
         listed = self._table.listed()
         with self._changed:
@@ -151,7 +151,7 @@ class Lab:
             self._hosts[host.name].leaves = leaves
             return
         name, links, contents = self._session.root.name, self._tasks.links, self._tasks.contents
-        connection = HostConnection(host, self._table, links, name, contents, self._have, self._handle)
+        connection = HostConnection(host, self._table, links, name, contents, self._tasks.gpus, self._have, self._handle)
         self._hosts[host.name] = LabHost(connection, leaves=leaves)
         connection.start()
 

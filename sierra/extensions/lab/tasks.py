@@ -16,6 +16,8 @@ from sierra.util.json_types import JsonView
 from sierra.util.lazy_definitions import dataclass, field
 
 Links = Mapping[str, Mapping[str, JsonView]]
+OWN = ("number", "without_end", "contents", "gpus", "links")
+"""The fields of `Tasks` beside its tasks."""
 AHEAD = 1
 """The number of tasks that a host has in addition to those that it executes, so that no slot waits for this machine."""
 
@@ -59,6 +61,8 @@ class Tasks:
     """True if hosts go on without this machine."""
     contents: Mapping[str, str] = field(default_factory=dict)
     """The files and folders of this machine that jobs name, each with the kind of its content."""
+    gpus: float | None = None
+    """The most GPUs that a run requests, or its share of one; None: it requests none."""
     links: Links = field(default_factory=dict)
     """The options of links in `sierra.toml`."""
 
@@ -68,7 +72,7 @@ class Tasks:
         try:
             record = json.loads(session.carried.read_bytes())
             tasks = [LabTask(**{**task, "stage": Stage(task["stage"])}) for task in record["tasks"]]
-            return cls(session, tasks, record["number"], record["without_end"], record["contents"], record["links"])
+            return cls(session, tasks, **{name: record[name] for name in OWN})
         except FileNotFoundError:
             return cls(session)
         except (OSError, ValueError, TypeError, LookupError) as error:
@@ -76,7 +80,7 @@ class Tasks:
 
     def save(self) -> None:
         """Write the tasks. Raises Missing if the disk is full."""
-        own = {name: getattr(self, name) for name in ("number", "without_end", "contents", "links")}
+        own = {name: getattr(self, name) for name in OWN}
         record = {"tasks": [asdict(task) for task in self.all], **own}
         with disk_errors(self.session.root):
             write_whole(self.session.carried, json.dumps(record).encode())

@@ -87,7 +87,7 @@ class Jobs:
             recalled.spec,
             root,
             engines.find("none"),
-            commands.limits(project.config),
+            commands.limits(project.config),  # execute_runs.py adds the variables for GPUs
             "",
             root,
             image=image,

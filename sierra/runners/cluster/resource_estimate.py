@@ -12,7 +12,7 @@ from sierra.model import Times
 from sierra.runners import schedulers
 from sierra.runners.cluster import submission_record
 from sierra.runners.cluster.preflight_job import Preflight
-from sierra.runners.cluster.sizing import TIMEOUT_S, Size, size
+from sierra.runners.cluster.sizing import TIMEOUT_S, Size, note_on_gpus, size
 from sierra.runners.cluster.submission_record import UNFOLLOWED
 from sierra.runners.schedulers.base import Bounds, Carries
 from sierra.store.layout import SessionPaths
@@ -99,18 +99,21 @@ def propose(
     each: float | None,
     beside: tuple[int, int],
     waits: bool,
+    gpus: float | None = None,
 ) -> Estimate:
     """Return what `count` runs with these expected times would request from a cluster.
 
-    Each run leaves `each` bytes. `waits` is true if a process would follow. `work` is the folder of sessions. `beside` are the
-    files and bytes that do not depend on the number of elements. If the scheduler cannot be reached, the estimate lacks the
-    limits of the site. Raises ConfigError for a refused request.
+    Each run leaves `each` bytes and holds `gpus` GPUs. `waits` is true if a process would follow. `work` is the folder of
+    sessions. `beside` are the files and bytes that do not depend on the number of elements. If the scheduler cannot be reached,
+    the estimate lacks the limits of the site. Raises ConfigError for a refused request.
     """
     shares = _shares(scheduler, table, count, times)
     is_probed = not shares and Preflight(name, table, SessionPaths(work / "SESSION")).is_needed()
     notes = [PREFLIGHT] if is_probed else []
     version, bounds = _site(scheduler, table, notes)
-    sized = Size(len(shares), None, None, DEALT) if shares else size(count, times, table, bounds, waits=waits)
+    sized = Size(len(shares), None, None, DEALT) if shares else size(count, times, table, bounds, waits=waits, gpus=gpus)
+    if not shares and (note := note_on_gpus(table, gpus)):
+        notes.append(note)
     requested = table.model_copy(update={"wall": sized.wall_s})
     unknown = NEVER_TIMED if times else NO_DURATION
     notes += [CALIBRATES.format(unknown, counted(len(sized.first), "run"), TIMEOUT_S)] if sized.first else []

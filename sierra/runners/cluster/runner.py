@@ -39,7 +39,7 @@ from sierra.runners.cluster.batch_state import Answer, BatchState, Phase, on_pol
 from sierra.runners.cluster.collect import AT_ONCE, Collector, Share, refresh
 from sierra.runners.cluster.preflight_job import Preflight
 from sierra.runners.cluster.shard import deal, deal_first, deal_rest, deal_sized
-from sierra.runners.cluster.sizing import Size, Timing, elements_of, size, timing
+from sierra.runners.cluster.sizing import Size, Timing, elements_of, note_on_gpus, size, slots_of, timing
 from sierra.runners.cluster.submission_record import Sent, Submission
 from sierra.runners.schedulers.base import Bounds, Carries, NodeVariables, State, Task
 from sierra.store.layout import SessionPaths
@@ -83,7 +83,7 @@ class Cluster:
         if isinstance(self._scheduler, Carries):
             self._submit_carried(self._scheduler, work, session, version)
             return
-        sized = size(work.count, work.times, self._table, bounds, waits=work.waits)
+        sized = size(work.count, work.times, self._table, bounds, waits=work.waits, gpus=work.gpus)
         estimated = self._table.wall is None and sized.wall_s is not None
         self._table = self._table.model_copy(update={"wall": sized.wall_s})
         past = submission_record.past(session)
@@ -95,10 +95,13 @@ class Cluster:
         table = self._table.model_dump(mode="json")
         dealt = (work.batch, counts, dict(work.around), probed, rest)
         means = _means(work.times, sized.first)
-        submission = Submission(self.name, self._kind, version, table, *dealt, bounds, estimated, *means, past)
+        slots = slots_of(self._table, work.gpus)
+        submission = Submission(self.name, self._kind, version, table, *dealt, bounds, estimated, *means, slots, past)
         submission.save(session)
         self._begin(submission, session, {})
         self._is_own = True
+        if note := note_on_gpus(self._table, work.gpus):
+            self._note(note)
         if rest:
             unknown = "runs with these values were never timed" if work.times else "the duration of runs is not known yet"
             self._note(f"{unknown}: {counted(counts[0], 'run')} of {work.count} {verb(counts[0], 'is', 'are')} executed first")
@@ -119,7 +122,7 @@ class Cluster:
         table = self._table.model_dump(mode="json")
         mean = work.times.mean if work.times else None
         dealt = (work.batch, counts, dict(work.around), False, 0)
-        submission = Submission(self.name, self._kind, version, table, *dealt, Bounds(), False, None, mean, past)
+        submission = Submission(self.name, self._kind, version, table, *dealt, Bounds(), rest_s=mean, past=past)
         submission.save(session)
         self._begin(submission, session, {})
         self._is_own = True
@@ -151,7 +154,7 @@ class Cluster:
     def _settings(self, work: Work, session: SessionPaths) -> dict[str, object]:
         return {
             "session": session.root.name,
-            "slots": self._table.cpus,
+            "slots": slots_of(self._table, work.gpus),
             "scratch": self._table.scratch,
             "needs": [asdict(one) for one in work.needs],
             "record": list(work.record),
@@ -471,9 +474,8 @@ class Cluster:
     def _deal_rest(self, result: Timing) -> None:
         """Shard the other runs according to the calibration, and submit them. Raises the scheduler's refusals."""
         self._is_calibrating, self._timing = False, None
-        count, why = elements_of(
-            self._submission.rest, self._expected_mean(result), self._table, self._submission.allowed, before=True
-        )
+        submission, mean = self._submission, self._expected_mean(result)
+        count, why = elements_of(submission.rest, mean, self._table, submission.allowed, slots=submission.at_once, before=True)
         begin = len(self._batch.shares)
         counts = deal_rest(count, begin, self._session)
         self._submission = replace(self._submission, counts=(*self._submission.counts, *counts), rest=0)

@@ -23,6 +23,8 @@ from sierra.errors import ConfigError
 from sierra.model import Times
 from sierra.runners.schedulers.base import Bounds
 from sierra.util.lazy_definitions import dataclass
+from sierra.util.text import counted
+from sierra.worker.devices import runs_at_once
 
 ELEMENT_S = 450.0
 """Seconds that an element should take, if this can be estimated: between 5 and 10 minutes. Shorter elements cost a scheduler
@@ -56,20 +58,24 @@ class Size:
     """Places of the runs that go first, as an element of their own. Their times decide how the others are sharded."""
 
 
-def size(count: int, times: Times | None, table: ClusterTable, bounds: Bounds, *, waits: bool = True) -> Size:
+def size(
+    count: int, times: Times | None, table: ClusterTable, bounds: Bounds, *, waits: bool = True, gpus: float | None = None
+) -> Size:
     """Return how `count` runs with these expected times (None: unknown) are sharded.
 
-    `waits` is true if a process follows, and so can wait for the runs that go first. Raises ConfigError for a time that the
-    site does not allow, and for runs that take longer than an array task may.
+    `waits` is true if a process follows, and so can wait for the runs that go first. `gpus`: see `sierra.model.Limits`. Raises
+    ConfigError for a time that the site does not allow, for runs that take longer than an array task may, and for runs that
+    request more GPUs than it has.
     """
+    slots = slots_of(table, gpus)
     if table.wall is not None and bounds.wall_s is not None and table.wall > bounds.wall_s:
         where = bounds.whose.get("wall_s", "the site's limit")
         raise ConfigError(f"wall = {table.wall:g} s is more than the site allows, {bounds.wall_s:g} s ({where}); request less")
     _check_longest(times, table, bounds)
     first = _first(count, times) if waits and table.array_tasks is None and count > UNKNOWN else ()
     seconds, how = (times.mean, times.how) if times else (None, "")
-    elements, why = elements_of(count - len(first), seconds, table, bounds, before=bool(first), how=how)
-    expected = longest(times.each, elements, table.cpus) if times else None
+    elements, why = elements_of(count - len(first), seconds, table, bounds, slots=slots, before=bool(first), how=how)
+    expected = longest(times.each, elements, slots) if times else None
     spare = SPARE_OF_ESTIMATE if times and times.new else SPARE
     wall, wall_why = _wall(expected, spare, table, bounds, waits=waits)
     return Size(elements, wall, expected, (("array_tasks", why), ("wall", wall_why)), first)
@@ -92,10 +98,38 @@ def _check_longest(times: Times | None, table: ClusterTable, bounds: Bounds) -> 
         raise ConfigError(f"a run took {measured:.0f} s, and an array task may take {limit}: {cure}")
 
 
-def longest(each: Sequence[float], elements: int, cpus: int) -> float:
+def slots_of(table: ClusterTable, gpus: float | None) -> int:
+    """Return how many runs an array task executes at a time. Raises ConfigError if it has too few GPUs for one."""
+    if gpus is None:
+        return table.cpus
+    if (table.gpus or 0) < gpus:
+        has = "an array task has none" if table.gpus is None else f"an array task has {table.gpus}"
+        each = f"{gpus:g} GPU{'s' if gpus > 1 else ''} each ([limits] gpus)"
+        raise ConfigError(f"runs request {each}, but {has}; set gpus = {math.ceil(gpus)} or more")
+    return min(table.cpus, runs_at_once(table.gpus or 0, gpus))
+
+
+def note_on_gpus(table: ClusterTable, gpus: float | None) -> str:
+    """Return a note if cores or GPUs of an array task are not used, because the others do not suffice; empty if all are."""
+    if gpus is None or table.gpus is None:
+        return ""
+    fit = runs_at_once(table.gpus, gpus)
+    slots = min(table.cpus, fit)
+    executes = f"an array task executes {counted(slots, 'run')} at a time"
+    if fit < table.cpus:
+        return f"{executes}: its GPUs suffice for no more ([limits] gpus = {gpus:g}), although it has {table.cpus} cores"
+    used = min(table.gpus, math.ceil(slots * max(gpus, 1)))
+    if used < table.gpus:
+        return (
+            f"{executes}, which use {used} of its {table.gpus} GPUs; request fewer, or more cpus, of which each executes a run"
+        )
+    return ""
+
+
+def longest(each: Sequence[float], elements: int, slots: int) -> float:
     """Return an upper bound for the seconds of the longest element, if run k goes to element k mod `elements`."""
     shares = (each[number::elements] for number in range(min(elements, len(each))))
-    return max(sum(share) / cpus + (1 - 1 / cpus) * max(share) for share in shares)
+    return max(sum(share) / slots + (1 - 1 / slots) * max(share) for share in shares)
 
 
 def _first(count: int, times: Times | None) -> tuple[int, ...]:
@@ -105,14 +139,14 @@ def _first(count: int, times: Times | None) -> tuple[int, ...]:
 
 
 def elements_of(
-    count: int, seconds: float | None, table: ClusterTable, bounds: Bounds, *, before: bool, how: str = ""
+    count: int, seconds: float | None, table: ClusterTable, bounds: Bounds, *, slots: int, before: bool, how: str = ""
 ) -> tuple[int, str]:
-    """Return the number of elements for `count` runs, and the reason for it.
+    """Return the number of elements for `count` runs, `slots` at a time in each, and the reason for it.
 
     `seconds` is the mean time of a run, and `how` says where it comes from. `before` is true if there is already one element,
     of the first runs.
     """
-    elements, why = _elements(count, seconds, table, how)
+    elements, why = _elements(count, seconds, table, slots, how)
     array, jobs = bounds.array and max(bounds.array - before, 1), bounds.jobs and max(bounds.jobs - PROBES - before, 1)
     if array and array < elements:
         elements, why = array, f"the longest array that the site allows{_whose(bounds, 'array')}"
@@ -125,12 +159,12 @@ def _whose(bounds: Bounds, name: str) -> str:
     return f" ({bounds.whose[name]})" if name in bounds.whose else ""
 
 
-def _elements(count: int, seconds: float | None, table: ClusterTable, how: str) -> tuple[int, str]:
+def _elements(count: int, seconds: float | None, table: ClusterTable, slots: int, how: str) -> tuple[int, str]:
     if table.array_tasks is not None:
         return min(table.array_tasks, count), "set in sierra.toml" if table.array_tasks <= count else "one for each run"
     if seconds is None:
         return min(UNKNOWN, count), "the duration of runs is not known yet"
-    wanted = math.ceil(count * seconds / table.cpus / ELEMENT_S)
+    wanted = math.ceil(count * seconds / slots / ELEMENT_S)
     whence = f" ({how})" if how else ""
     return min(max(wanted, 1), count), f"runs take {seconds:.3g} s{whence}, and an array task should take 5 to 10 minutes"
 

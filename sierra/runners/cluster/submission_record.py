@@ -72,12 +72,19 @@ class Submission:
     first_s: float | None = None
     """Expected mean time of the runs that go first; `rest_s` is that of the others. None if it was unknown."""
     rest_s: float | None = None
+    slots: int | None = None
+    """Number of runs that an element executes at a time, if that is not the number of its cores."""
     past: tuple[str, ...] = ()
     """Jobs of earlier submissions of the session. They have the same name, but do not belong to this one."""
 
     @property
     def runs(self) -> int:
         return sum(self.counts) + self.rest
+
+    @property
+    def at_once(self) -> int:
+        """Return how many runs an element executes at a time."""
+        return self.slots or self.cluster.cpus
 
     @property
     def cluster(self) -> ClusterTable:

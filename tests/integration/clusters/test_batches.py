@@ -14,6 +14,7 @@ import pytest
 
 import sierra
 from sierra.api import Project
+from sierra.errors import ConfigError
 from sierra.execution import expected_durations
 from sierra.runners.cluster.result_log_reader import Ended
 from sierra.worker.processes import marked
@@ -165,6 +166,25 @@ def test_runs_see_the_devices_of_their_slot(simulate: Callable[..., Simulated], 
     alone = len(os.sched_getaffinity(0)) == 1
     assert {row["w"] for row in found} == {7}
     assert {(row["slot"], str(row["v"])) for row in found} == {(0, "0"), (1, "1")} or alone
+
+
+@pytest.mark.nightly
+@pytest.mark.usefixtures("slurm")
+def test_runs_hold_gpus_of_their_array_task(simulate: Callable[..., Simulated]) -> None:
+    made = simulate('printf "t,v,w\\n1,$CUDA_VISIBLE_DEVICES,$XLA_PYTHON_CLIENT_MEM_FRACTION\\n" > swarm.csv; sleep 1')
+    config = made.folder / "sierra.toml"
+    table = "[runners.slurm]\narray_tasks = 1\ncpus = 2\n"
+    config.write_text(config.read_text().replace("[limits]\n", "[limits]\ngpus = 0.5\n") + table)
+    project = sierra.open(made.folder)
+    with pytest.raises(ConfigError, match=r"request 0.5 GPU each .* but an array task has none; set gpus = 1 or more"):
+        project.run("size=1,2,3,4", runs=1, runner="slurm", figures=False)
+    config.write_text(f"{config.read_text()}gpus = 2\n")
+    project = sierra.open(made.folder)
+    summary = project.run("size=1,2,3,4", runs=1, runner="slurm", figures=False)
+    assert (summary.failed, summary.executed) == (0, 4)
+    found = rows(project, "SELECT v, w, gpus, gpu_limit FROM swarm JOIN executions USING (run)")
+    assert {str(row["v"]) for row in found} <= {"0", "1"}
+    assert [(row["w"], row["gpus"], row["gpu_limit"]) for row in found] == [(0.45, [str(row["v"])], 0.5) for row in found]
 
 
 @pytest.mark.nightly

@@ -713,6 +713,13 @@ def test_a_missing_device_is_reported_before_any_run_executes(tmp_path: Path, bu
     assert rows(folder, "SELECT count(*) AS n FROM executions") == [{"n": 0}]
 
 
+def test_a_limit_of_gpus_needs_containers_that_may_use_some(tmp_path: Path, busybox: Path) -> None:
+    folder = containers.make(tmp_path / "project", busybox)
+    config = folder / "sierra.toml"
+    config.write_text(f"{config.read_text()}\n[limits]\ngpus = 1\n")
+    assert "the containers of runs can use no GPU; add gpu = true to [container]" in says(folder, *RUN, code=2)
+
+
 @pytest.mark.nightly
 def test_a_run_is_tried_in_its_image_without_a_record(tmp_path: Path, busybox: Path) -> None:
     folder = containers.make(tmp_path / "project", busybox, simulator="echo hello\n" + containers.SIMULATOR)

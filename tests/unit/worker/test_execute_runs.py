@@ -17,7 +17,7 @@ import pytest
 import sierra
 from sierra.packages import members
 from sierra.packages.members import MANIFEST
-from sierra.worker import execute_runs, package_plan
+from sierra.worker import execute_runs, gpus, package_plan
 from tests import containers, projects
 from tests.pythons import python_of
 from tests.unit.packages.test_pack import TOML
@@ -68,6 +68,9 @@ def said(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, s
         (LINE, {"limits": 3}),
         (LINE, {"limits": {"marker": "../../etc/passwd", "after_marker_s": 1}}),
         (LINE, {"limits": {"wall_s": "stdout"}}),
+        (LINE, {"limits": {"gpus": 0}}),
+        (LINE, {"limits": {"gpus": "nan"}}),
+        (LINE, {"limits": {"gpus": "inf"}}),
         (LINE, {"batch": "../../elsewhere"}),
         (LINE, {"environment": {"A": 1}}),
         ([1], {}),
@@ -124,6 +127,21 @@ def test_what_is_missing_is_named_before_anything_is_asked(tmp_path: Path, capsy
     status, printed = said(capsys, made(tmp_path / "o", LINE, obstacle="its containers had access"), tmp_path / "work")
     assert (status, "needs level 3: its containers had access" in printed) == (3, True)
     assert not (tmp_path / "work").exists()
+
+
+def test_runs_that_request_gpus_get_their_own_or_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    prints = {**LINE, "argv": ["sh", "-c", "echo $CUDA_VISIBLE_DEVICES $XLA_PYTHON_CLIENT_MEM_FRACTION > seen"]}
+    prints["outputs"] = {"seen": hashlib.sha256(b"1 0.45\n").hexdigest()}
+    shares, whole = (made(tmp_path / name, prints, limits={"gpus": limit}) for name, limit in (("x", 0.5), ("y", 2)))
+    for folder in (shares, whole):
+        (folder / "project").mkdir()
+    monkeypatch.setattr(gpus, "of_this_machine", lambda environment: gpus.Gpus("CUDA_VISIBLE_DEVICES", ("1",)))
+    status, printed = said(capsys, shares, tmp_path / "work", "--yes")
+    assert (status, "1 identical" in printed) == (0, True), printed
+    status, printed = said(capsys, whole, tmp_path / "work", "--yes")
+    assert (status, "request 2 GPUs each ([limits] gpus), but this machine has 1 GPU (1)" in printed) == (3, True), printed
 
 
 @pytest.fixture(scope="module")

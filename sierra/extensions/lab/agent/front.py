@@ -7,7 +7,7 @@ the keeper, which it starts if there is none. Both directions are lines of JSON,
 says. All bytes of a result log are sent from the place on that the driver asks for, so that nothing is sent twice.
 
     from the driver                             to the driver
-    hello slots? lease have {log: bytes}        hello cores machine python
+    hello slots? lease gpus have {log: bytes}   hello slots gpus machine python
     file name size                              state queued running ended {entry: [status, reason, last line]}
     queue entry task job host clock             log name at size
     withdraw entry                              cut name at           a log has become shorter, because its disk is full
@@ -33,7 +33,8 @@ import time
 
 from sierra.extensions.lab.agent import host_folder, keeper
 from sierra.extensions.lab.agent.host_folder import CLAIMED, ENDED, LOGS, QUEUE, RESULTS, RUNNING, STATES, Record
-from sierra.worker import machine, program
+from sierra.worker import gpus, machine, program
+from sierra.worker.devices import runs_at_once
 from sierra.worker.files import entries_of, last_line_of, remove, size_of_file, unlink, write_all
 
 POLL_S = 0.1
@@ -57,7 +58,7 @@ class Front:
         self._sent: dict[str, int] = {}
         """The bytes of each result log that the driver has."""
         self._state: Record = {}
-        self._slots = 1
+        self._slots, self._gpus = 1, 0.0
         self._lease: float | None = None
         self._leased = 0.0
         self._beat_at = self._heard = self._keep_at = time.monotonic()
@@ -142,12 +143,14 @@ class Front:
     def _begin(self, request: Record) -> None:
         host_folder.make(self._folder)
         unlink(os.path.join(self._folder, "cancelled"))
-        cores = machine.usable_cores()
-        self._slots, self._lease = request["slots"] or cores, request["lease"]
+        cores, self._gpus = machine.usable_cores(), request["gpus"] or 0.0
+        devices = len(gpus.of_this_machine(os.environ).ids) if self._gpus else 0
+        at_once = runs_at_once(devices, self._gpus) if self._gpus else cores
+        self._slots, self._lease = min(request["slots"] or cores, at_once), request["lease"]
         self._sent = dict(request["have"])
         host_folder.set_lease(self._folder, self._lease)
         python = platform.python_version()
-        self._send({"event": "hello", "cores": cores, "machine": os.uname().machine, "python": python})
+        self._send({"event": "hello", "slots": self._slots, "gpus": devices, "machine": os.uname().machine, "python": python})
         self._state = {"none": True}
 
     def _queue(self, entry: str, request: Record) -> None:
@@ -186,7 +189,7 @@ class Front:
         with open(os.path.join(self._folder, LOGS, "keeper.out"), "ab") as log:
             # its parent ends at once, so that it is nobody's child here
             subprocess.run(
-                [sys.executable, "-I", "-S", program.PROGRAM, KEEPER, self._folder, str(self._slots)],
+                [sys.executable, "-I", "-S", program.PROGRAM, KEEPER, self._folder, str(self._slots), str(self._gpus)],
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,

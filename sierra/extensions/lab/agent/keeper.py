@@ -1,8 +1,8 @@
 """The process that executes the tasks of a session on a host: it needs no connection.
 
-    python3 -I -S worker.pyz sierra.extensions.lab.agent.keeper FOLDER SLOTS
+    python3 -I -S worker.pyz sierra.extensions.lab.agent.keeper FOLDER SLOTS GPUS
 
-FOLDER is that of the session: see `host_folder`. There is one keeper for each session: another one ends at once. It starts
+GPUS is the number of GPUs that a run requests, its share of one, or 0. Each slot has GPUs of its own then. FOLDER is that of the session: see `host_folder`. There is one keeper for each session: another one ends at once. It starts
 tasks in the order of their numbers, each in a slot of the host. Drivers share the slots by locks, which a task inherits, so
 that a slot is free when the last process of its task has ended, also if its keeper was killed before. When the lease is over,
 nobody waits for the results any more: no task is started, and running ones are told to end. Results stay.
@@ -15,11 +15,12 @@ import signal
 import subprocess
 import sys
 import time
-from typing import NamedTuple
+from typing import Mapping, NamedTuple
 
 from sierra.extensions.lab.agent import host_folder
 from sierra.extensions.lab.agent.host_folder import CLAIMED, ENDED, LOGS, QUEUE, RUNNING
-from sierra.worker import program
+from sierra.worker import gpus, program
+from sierra.worker.devices import DEVICES
 from sierra.worker.files import unlink
 from sierra.worker.processes import birth, marked
 
@@ -30,20 +31,28 @@ REBOOTED = "the host was restarted"
 LOST = "its process was killed"
 
 
+class Slot(NamedTuple):
+    """A slot of this host that a task has."""
+
+    number: int
+    lock: int
+    """The descriptor of its lock."""
+
+
 class Task(NamedTuple):
     """A task that this process has started."""
 
     process: subprocess.Popen[bytes]
-    slot: int
-    """The descriptor of the slot's lock."""
+    slot: Slot
 
 
 class Keeper:
     """The tasks of one session."""
 
-    def __init__(self, folder: str, slots: int) -> None:
+    def __init__(self, folder: str, slots: int, gpus: float) -> None:
         self._folder = folder
         self._slots = slots
+        self._gpus = gpus
         self._locks = os.path.join(folder, "..", "..", "..", "slots", os.uname().nodename)
         self._tasks: dict[str, Task] = {}
         self._told = False
@@ -107,12 +116,12 @@ class Keeper:
         if slot is None:
             return False
         if not self._claim(entry):
-            os.close(slot)
+            os.close(slot.lock)
             return True
         try:
             self._tasks[entry] = Task(self._started(entry, slot), slot)
         except OSError as error:
-            os.close(slot)
+            os.close(slot.lock)
             self._note_end(entry, 3, "%s: %s" % (os.uname().nodename, error.strerror))
         unlink(self._path(CLAIMED, entry))
         return True
@@ -125,15 +134,15 @@ class Keeper:
             return False
         return True
 
-    def _free_slot(self) -> int | None:
-        """Return the lock of a slot of this host that nobody has; None if there is none."""
+    def _free_slot(self) -> Slot | None:
+        """Lock a slot of this host that nobody has, and return it; None if there is none."""
         for number in range(self._slots):
-            slot = host_folder.lock(os.path.join(self._locks, str(number)))
-            if slot is not None:
-                return slot
+            lock = host_folder.lock(os.path.join(self._locks, str(number)))
+            if lock is not None:
+                return Slot(number, lock)
         return None
 
-    def _started(self, entry: str, slot: int) -> subprocess.Popen[bytes]:
+    def _started(self, entry: str, slot: Slot) -> subprocess.Popen[bytes]:
         """Start a task that was claimed, and record its process. Raises OSError."""
         asked = host_folder.read_record(self._path(CLAIMED, entry))
         argv = [sys.executable, "-I", "-S", program.PROGRAM, "array_task", self._folder, entry.partition(".")[2]]
@@ -145,8 +154,8 @@ class Keeper:
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,
-                env={**os.environ, **variables},
-                pass_fds=(slot,),
+                env={**with_gpus_of(slot.number, self._gpus, os.environ), **variables},
+                pass_fds=(slot.lock,),
                 start_new_session=True,
             )
         try:
@@ -169,7 +178,7 @@ class Keeper:
         """Record the end of a task that this process has started."""
         task = self._tasks.pop(entry)
         status = task.process.wait()
-        os.close(task.slot)
+        os.close(task.slot.lock)
         self._note_end(entry, status, "signal %d" % -status if status < 0 else LEASE_OVER if self._told else "")
         unlink(self._path(RUNNING, entry))
 
@@ -195,8 +204,18 @@ class Keeper:
         return os.path.join(self._folder, kind, name)
 
 
+def with_gpus_of(slot: int, wanted: float, environment: Mapping[str, str]) -> Mapping[str, str]:
+    """Return the variables for a task in a slot, whose runs want so many GPUs each: as given, but they list only its GPUs."""
+    if not wanted:
+        return environment
+    variable, ids = gpus.of_this_machine(environment)
+    each = max(1, int(wanted))
+    chosen = ids[slot * each : (slot + 1) * each] if each > 1 else ids[slot % len(ids) :][:1] if ids else ()
+    return {**{name: value for name, value in environment.items() if name not in DEVICES}, variable: ",".join(chosen)}
+
+
 def main(arguments: list[str]) -> int:
-    folder, slots = os.path.abspath(arguments[0]), int(arguments[1])
+    folder, slots, wanted = os.path.abspath(arguments[0]), int(arguments[1]), float(arguments[2])
     for number in (signal.SIGHUP, signal.SIGINT, signal.SIGPIPE):
         signal.signal(number, signal.SIG_IGN)
     if os.fork():  # so that it is nobody's child, and in no session of a login
@@ -204,5 +223,5 @@ def main(arguments: list[str]) -> int:
     os.setsid()
     own = host_folder.lock(os.path.join(folder, "keeper"))
     if own is not None:
-        Keeper(folder, slots).execute()
+        Keeper(folder, slots, wanted).execute()
     return 0

@@ -9,7 +9,7 @@ import pytest
 from sierra.config.cluster_table import ClusterTable
 from sierra.errors import ConfigError
 from sierra.model import Times
-from sierra.runners.cluster.sizing import ELEMENT_S, TIMEOUT_S, size, timing
+from sierra.runners.cluster.sizing import ELEMENT_S, TIMEOUT_S, note_on_gpus, size, slots_of, timing
 from sierra.runners.schedulers.base import Bounds
 
 LATE_S, LONG_S = TIMEOUT_S + 1, ELEMENT_S + 50
@@ -70,3 +70,39 @@ def test_a_run_that_takes_longer_than_an_array_task_may_is_refused(
 )
 def test_a_run_that_may_be_short_enough_is_submitted(times: Times | None, wall: float | None, bounds: Bounds) -> None:
     assert size(1, times, ClusterTable(wall=wall), bounds).elements == 1
+
+
+@pytest.mark.parametrize(
+    ("cpus", "gpus", "limit", "slots", "note"),
+    [
+        (4, 4, 1.0, 4, ""),
+        (4, 2, 0.5, 4, ""),
+        (4, None, None, 4, ""),
+        (8, 2, 1.0, 2, "executes 2 runs at a time: its GPUs suffice for no more ([limits] gpus = 1), although it has 8 cores"),
+        (8, 3, 2.0, 1, "executes 1 run at a time: its GPUs suffice for no more ([limits] gpus = 2), although it has 8 cores"),
+        (1, 4, 1.0, 1, "executes 1 run at a time, which use 1 of its 4 GPUs; request fewer, or more cpus"),
+        (1, 2, 0.5, 1, "executes 1 run at a time, which use 1 of its 2 GPUs"),
+        (1, 3, 2.0, 1, "executes 1 run at a time, which use 2 of its 3 GPUs"),
+    ],
+)
+def test_cores_and_gpus_of_an_array_task_that_do_not_fit_are_noted(
+    cpus: int, gpus: int | None, limit: float | None, slots: int, note: str
+) -> None:
+    table = ClusterTable(cpus=cpus, gpus=gpus)
+    assert slots_of(table, limit) == slots
+    assert note in note_on_gpus(table, limit)
+    assert bool(note) == bool(note_on_gpus(table, limit))
+
+
+def test_fewer_runs_at_a_time_take_more_or_longer_array_tasks() -> None:
+    table, times = ClusterTable(cpus=8, gpus=1), Times((600.0,) * 24, (), "")
+    both = size(24, times, table, Bounds()), size(24, times, table, Bounds(), gpus=1.0)
+    assert [sized.elements for sized in both] == [4, 24]
+    fixed = table.model_copy(update={"array_tasks": 1})
+    assert [size(24, times, fixed, Bounds(), gpus=limit).expected_s for limit in (None, 1.0)] == [600.0 * 3 + 525.0, 600.0 * 24]
+
+
+@pytest.mark.parametrize(("gpus", "limit", "cure"), [(None, 0.5, "has none; set gpus = 1"), (2, 4.0, "has 2; set gpus = 4")])
+def test_an_array_task_with_too_few_gpus_for_a_run_is_refused(gpus: int | None, limit: float, cure: str) -> None:
+    with pytest.raises(ConfigError, match=rf"request {limit:g} GPUs? each \(\[limits\] gpus\), but an array task {cure}"):
+        size(2, None, ClusterTable(gpus=gpus), Bounds(), gpus=limit)
