@@ -2,10 +2,11 @@
 
     python3 -I -S worker.pyz sierra.extensions.lab.agent.keeper FOLDER SLOTS GPUS
 
-GPUS is the number of GPUs that a run requests, its share of one, or 0. Each slot has GPUs of its own then. FOLDER is that of the session: see `host_folder`. There is one keeper for each session: another one ends at once. It starts
-tasks in the order of their numbers, each in a slot of the host. Drivers share the slots by locks, which a task inherits, so
-that a slot is free when the last process of its task has ended, also if its keeper was killed before. When the lease is over,
-nobody waits for the results any more: no task is started, and running ones are told to end. Results stay.
+GPUS is the number of GPUs that a run requests, its share of one, or 0: each slot has GPUs of its own. FOLDER is that of the
+session: see `host_folder`. There is one keeper for each session: another one ends at once. It starts tasks in the order of
+their numbers, each in a slot of the host. Drivers share the slots by locks, which a task inherits, so that a slot is free when
+the last process of its task has ended, also if its keeper was killed before. When the lease is over, nobody waits for the
+results any more: no task is started, and running ones are told to end. Results stay.
 """
 
 from __future__ import annotations
