@@ -585,6 +585,8 @@ class Job:
     """The number of its experiment, if one run of each is observed: should that fail, the worker observes another one."""
     beside: str | None = None
     """The folder with the files that lie beside the input files of all runs."""
+    checkpoint: str | None = None
+    """The folder of the run's checkpoint, which all of its executions share; None if it needs none, or begins anew."""
     folders: Mapping[str, str] | None = None
     """The texts that take the place of marks in the input files; None if there are no marks."""
     helps: Helps | None = None
@@ -730,5 +732,7 @@ class Result:
     """Its ports in the places of `{port}`, `{port2}`, …, as far as its command, inputs and variables have these."""
     after_marker: float | None = None
     """It was ended so many seconds after its marker was met, which counts as an end by itself; None if it was not."""
+    resumed: bool = False
+    """True if it began with files in its checkpoint, which an earlier execution had left."""
     printed: tuple[int, str] | None = None
     """The size and the SHA-256 of standard output, for a result without a folder."""

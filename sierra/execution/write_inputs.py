@@ -32,11 +32,12 @@ from sierra.model import Job, Member
 from sierra.store.layout import RUN_OUTPUT
 from sierra.store.row_types import SharedFileRow
 from sierra.store.segments import disk_errors
-from sierra.templates.base import PORTS
+from sierra.templates.base import OF_WORKER
 from sierra.util.fs import inside
 from sierra.util.hashing import sha256_file
 from sierra.util.lazy_definitions import dataclass, regex
 from sierra.util.scratch import scratch
+from sierra.worker.layout import CHECKPOINT
 
 MANIFEST, REQUEST, RUNS, COMMAND = "manifest.csv", "batch.json", "runs", "command.json"
 UNFINISHED = ".sierra-inputs-"
@@ -168,12 +169,13 @@ def _environment(plan: Plan, variables: Mapping[str, str]) -> dict[str, str]:
 
 def _relative(text: str) -> str:
     """Return a text in which paths of the run's folder are relative to its folder for outputs."""
+    text = text.replace(f"{HERE}/{CHECKPOINT}", OF_WORKER["checkpoint"])
     return _with_names(_OF_RUN.sub(lambda found: "." if found[1] else "..", text))
 
 
 def _with_names(text: str) -> str:
-    """Return a text with `{port}` in the place of the marks of ports: whoever executes the run chooses them."""
-    for name, mark in PORTS.items():
+    """Return a text with `{port}` and `{checkpoint}` in the place of marks: whoever executes the run chooses these."""
+    for name, mark in OF_WORKER.items():
         text = text.replace(mark, f"{{{name}}}")
     return text
 

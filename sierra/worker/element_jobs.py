@@ -42,6 +42,7 @@ class Difference(TypedDict, total=False):
     budget: float
     affordable: float
     experiment: int
+    checkpoint: str
     end: int
     """The number of jobs; only in the last line."""
 

@@ -61,6 +61,7 @@ class Remains(TypedDict):
     left_running: NotRequired[list[str]]
     ports: NotRequired[list[int]]
     after_marker: NotRequired[float]
+    resumed: NotRequired[bool]
 
 
 class Start(TypedDict):

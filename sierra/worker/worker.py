@@ -45,6 +45,7 @@ import threading
 import time
 from typing import TYPE_CHECKING, Mapping, Sequence, TextIO
 
+from sierra.worker import checkpoints
 from sierra.worker.conductor_report import report_of
 from sierra.worker.containers import PROGRAM, HeldContainer, await_orphans, end_container
 from sierra.worker.devices import with_own_devices
@@ -300,9 +301,15 @@ class Worker:
 
     def execute(self, job: Job, slot: int) -> None:
         """Execute one run, from making its folder to writing its line in the journal."""
+        with checkpoints.claimed(job) as placed:
+            self.execute_placed(placed, slot)
+
+    def execute_placed(self, job: Job, slot: int) -> None:
+        """Execute one run that has its checkpoint, if it needs one."""
         job = self.observations.with_observation(job)
         folder = self.next_folder()
         place = prepare(job, folder, self.spare.pop(job.get("used") or 0, None))
+        job = checkpoints.prepared(job, folder)
         services = self.shared_services(job)
         try:
             self.execute_prepared(self.with_temporary(job, folder), folder, slot, place, services)
@@ -404,6 +411,8 @@ class Worker:
             remains["left_running"] = list(left)
         if after_marker is not None:
             remains["after_marker"] = after_marker
+        if job.get("resumed"):
+            remains["resumed"] = True
         if job.get("own_ports"):
             remains["ports"] = list(job["own_ports"])
         if job.get("waits") and not held and running.meter:
@@ -490,7 +499,7 @@ class Worker:
         unobserved.pop("compares", None)
         del unobserved["observe"]
         unobserved["unobserved"] = reason
-        self.execute(unobserved, slot)
+        self.execute_placed(unobserved, slot)
 
     def await_signal(self) -> None:
         """Give a SIGTERM that has ended a run time to reach this process too: a scheduler sends it to one after the other."""
