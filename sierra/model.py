@@ -438,6 +438,8 @@ class Times:
     """The origin of these durations, in words."""
     there: float | None = None
     """The longest of those that were measured where the runs are to execute; None if none was."""
+    continues: bool = False
+    """True if the runs have checkpoints: one that is cut off continues, so that it may take longer than an array task."""
 
     @property
     def mean(self) -> float:

@@ -410,11 +410,11 @@ class CommandBuilder:
         `root` is the folder of the code, `project` the user's project folder. `box` is the container specification, if runs
         execute in containers. `programs` is the zip that containers need. `allots`: runs get the devices that the scheduler of
         a cluster allots. `beside` is the folder of the files that lie beside the inputs of runs. `checkpoint` returns the
-        folder of a run's checkpoint by its id; without it, each execution begins with an empty one. With an `image` and without a
-        `box`, runs get the image's variables on this machine. `success` are the exit statuses of a successful command,
-        `accept` those of results that are no success, and `timeouts` the seconds in which services must be ready, by name.
-        `observed`: services that runs share are observed. `python` is the value of `{python}` without an image, `arch` that of
-        `{arch}`, by default this machine's processor.
+        folder of a run's checkpoint by its id; without it, each execution begins with an empty one. With an `image` and
+        without a `box`, runs get the image's variables on this machine. `success` are the exit statuses of a successful
+        command, `accept` those of results that are no success, and `timeouts` the seconds in which services must be ready, by
+        name. `observed`: services that runs share are observed. `python` is the value of `{python}` without an image, `arch`
+        that of `{arch}`, by default this machine's processor.
         """
         self._success, self._accept = success, accept
         self._observed = observed

@@ -15,16 +15,19 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import itertools
 import json
 import os
 from typing import Iterator, Mapping, cast
 
-from sierra.worker.files import end_of, is_folder, remove, unlink, write_all
+from sierra.worker.files import end_of, files_below, is_folder, remove, unlink, write_all
 from sierra.worker.job import Job, Program, is_conducted
 from sierra.worker.layout import CHECKPOINT
 
 TEXT = "\0/" + CHECKPOINT
 MARK, FILES = "mark", "files"
+MOST_FILES = 10000
+"""The number of files of a checkpoint whose times are looked at."""
 MOST_TRIES = 10
 """How often a lock is requested whose file another process removes meanwhile."""
 
@@ -55,6 +58,17 @@ def prepared(job: Job, folder: str) -> Job:
         unlink(path)  # a link that the run has put there
         os.makedirs(path, exist_ok=True)
     return cast("Job", {**job, "resumed": bool(os.listdir(path))})
+
+
+def changed_since(folder: str, moment: float) -> bool:
+    """Return whether a run has written to its checkpoint since then: a time in seconds since the epoch, of its file system."""
+    files = os.path.join(folder, FILES)
+    paths = itertools.islice(files_below(files), MOST_FILES)
+    for path in (files, *(path for path, _ in paths)):
+        with contextlib.suppress(OSError):  # removed meanwhile
+            if os.lstat(path).st_mtime > moment:
+                return True
+    return False
 
 
 def discard(folder: str) -> bool:

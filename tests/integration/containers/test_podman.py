@@ -148,6 +148,34 @@ def test_each_run_in_a_container_gets_ports_of_its_own(tmp_path: Path, python: P
     assert all(20_000 <= row["value"] != row["other"] >= 20_000 for row in found)
 
 
+@pytest.mark.integration
+@pytest.mark.parametrize("around", ["", 'before = [["python3", "-c", "pass"]]\n'], ids=["alone", "with a command before"])
+def test_a_run_in_a_container_that_was_cut_off_continues(tmp_path: Path, python: Path, around: str) -> None:
+    simulator = """\
+import os, pathlib, signal, sys
+
+state = pathlib.Path(sys.argv[2], "state")
+step = int(state.read_text()) if state.exists() else 0
+state.write_text(str(step + 1))
+pathlib.Path("out.csv").write_text("step\\n%d\\n" % step)
+if not step:
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+    folder = containers.make(tmp_path / "a project, with 'blanks' and: colons", python)
+    (folder / "sim.py").write_text(simulator)
+    config = (folder / "sierra.toml").read_text()
+    command = 'command = "python3 sim.py {input} {checkpoint}"\n'
+    (folder / "sierra.toml").write_text(
+        command + around + "\n".join(x for x in config.splitlines() if not x.startswith("command"))
+    )
+    one = ("run", "population_size=1", "--runs", "1", "--no-figures")
+    says(folder, *one, code=1)
+    says(folder, *one)
+    assert rows(folder, "SELECT step FROM out") == [{"step": 1}]
+    assert rows(folder, "SELECT count(*) AS n FROM endings WHERE kind = 'resumed'") == [{"n": 1}]
+    assert list((folder / ".sierra/checkpoints").iterdir()) == []
+
+
 def isolated(isolation: str) -> dict[str, Any]:
     """Return the expected surroundings, except the number of folders with names of the host."""
     return {

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from sierra.worker import checkpoints
-from tests.projects import quick, run, sql, start
+from tests.projects import quick, sql, start
 from tests.waiting import until
 
 SIMULATOR = """\
