@@ -531,16 +531,16 @@ def _keeps_checkpoint(judgement: Judgement, *, doubted: bool) -> bool:
     return cut_off or (result.exit_code != 0 and not result.resumed)
 
 
-def _endings(one: Judgement) -> Iterator[EndingRow]:
+def _endings(judgement: Judgement) -> Iterator[EndingRow]:
     """Yield the remarks on how an execution ended. An error counts only if its status does not say the same."""
-    result = one.result
+    result = judgement.result
     for name in result.left_running:
         yield EndingRow(result.execution, Kind.LEFT_RUNNING, name)
     if result.resumed:
         yield EndingRow(result.execution, Kind.RESUMED, "{checkpoint}")
     if result.after_marker is not None:
         yield EndingRow(result.execution, Kind.AFTER_MARKER, f"{result.after_marker:g}")
-    elif one.status is Status.OK and result.exit_code == 0 and (error := stderr.error_at_end(result.directory)):
+    elif judgement.status is Status.OK and result.exit_code == 0 and (error := stderr.error_at_end(result.directory)):
         yield EndingRow(result.execution, *error)
 
 

@@ -82,7 +82,7 @@ def notes(snapshot: Snapshot, batch: str) -> Iterator[str]:
         )
     for kind, cure in CURES.items():
         if bad := affected.get(kind):
-            yield _errors(bad, texts[kind], cure.format(pattern=_pattern([one.text for one in texts[kind]])))
+            yield _errors(bad, texts[kind], cure.format(pattern=_pattern([remark.text for remark in texts[kind]])))
 
 
 def left_running(store: Store, batch: str) -> str:

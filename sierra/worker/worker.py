@@ -308,11 +308,11 @@ class Worker:
         """Execute one run that has its checkpoint, if it needs one."""
         job = self.observations.with_observation(job)
         folder = self.next_folder()
-        place = prepare(job, folder, self.spare.pop(job.get("used") or 0, None))
+        run_folder = prepare(job, folder, self.spare.pop(job.get("used") or 0, None))
         job = checkpoints.prepared(job, folder)
         services = self.shared_services(job)
         try:
-            self.execute_prepared(self.with_temporary(job, folder), folder, slot, place, services)
+            self.execute_prepared(self.with_temporary(job, folder), folder, slot, run_folder, services)
         finally:
             self.temporary.remove(folder)
 
