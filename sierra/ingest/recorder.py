@@ -521,14 +521,17 @@ class Recorder:
 def _keeps_checkpoint(judgement: Judgement, *, doubted: bool) -> bool:
     """Return whether the next execution of a run continues from its checkpoint: this one was cut off, or failed for once.
 
-    If an execution that had continued fails by itself, its checkpoint may be the cause: the next one begins anew. `doubted`:
-    files have changed, so that the checkpoint may be one of other code.
+    If an execution that had continued fails by itself, or has too many files, its checkpoint may be the cause: the next one
+    begins anew. `doubted`: files have changed, so that the checkpoint may be one of other code.
     """
     result = judgement.result
     if judgement.status.is_result or doubted:
         return False
-    cut_off = result.stopped is not None or result.signal in CUT_OFF
-    return cut_off or (result.exit_code != 0 and not result.resumed)
+    if result.stopped is not None:
+        return result.stopped != Status.OUTPUT or not result.resumed
+    if result.signal in CUT_OFF:
+        return True
+    return result.exit_code != 0 and not result.resumed
 
 
 def _endings(judgement: Judgement) -> Iterator[EndingRow]:
