@@ -486,8 +486,8 @@ CREATE TABLE channels (
 -- Remarks on how executions ended, beside their status.
 CREATE TABLE endings (
     "execution" VARCHAR,  -- the execution
-    "kind" VARCHAR,  -- left running (a process that still ran when the command had ended, and was ended), error (the error message with which standard error of a successful execution ends), error on stdout (the same, if it printed nothing on standard error) or after marker (it was ended because its marker was met)
-    "text" VARCHAR  -- the process: its program and the first words; the error message; the seconds from marker to end
+    "kind" VARCHAR,  -- left running (a process that still ran when the command had ended, and was ended), error (the error message with which standard error of a successful execution ends), error on stdout (the same, if it printed nothing on standard error), after marker (it was ended because its marker was met) or resumed (it continued from the checkpoint of an execution that was cut off)
+    "text" VARCHAR  -- the process: its program and the first words; the error message; the seconds from marker to end; {checkpoint}
 );
 
 -- Sessions whose executions do not count in a later session's batch, because files that they used have changed.

@@ -438,6 +438,8 @@ class Times:
     """The origin of these durations, in words."""
     there: float | None = None
     """The longest of those that were measured where the runs are to execute; None if none was."""
+    continues: bool = False
+    """True if the runs have checkpoints: one that is cut off continues, so that it may take longer than an array task."""
 
     @property
     def mean(self) -> float:
@@ -587,6 +589,8 @@ class Job:
     """The number of its experiment, if one run of each is observed: should that fail, the worker observes another one."""
     beside: str | None = None
     """The folder with the files that lie beside the input files of all runs."""
+    checkpoint: str | None = None
+    """The folder of the run's checkpoint, which all of its executions share; None if it needs none, or begins anew."""
     folders: Mapping[str, str] | None = None
     """The texts that take the place of marks in the input files; None if there are no marks."""
     helps: Helps | None = None
@@ -739,5 +743,7 @@ class Result:
     gpu_s: float | None = None
     """Seconds in which it kept GPUs busy; None if this is unknown."""
     gpu_memory_bytes: int | None = None
+    resumed: bool = False
+    """True if it began with files in its checkpoint, which an earlier execution had left."""
     printed: tuple[int, str] | None = None
     """The size and the SHA-256 of standard output, for a result without a folder."""

@@ -29,14 +29,14 @@ def observer_for(wanted: bool | None) -> Observer:
 
 
 def slots(jobs: int | None) -> int:
-    """Return the number of runs at a time: `jobs`, or the user's setting, or the number of usable cores.
+    """Return the number of runs at a time: `jobs`, or the user's setting, or the number of cores that this process has.
 
     Raises UsageError for less than 1.
     """
     from sierra.config import user
-    from sierra.worker.machine import usable_cores
+    from sierra.worker.machine import granted_cores
 
-    slots = (user.load().jobs or usable_cores()) if jobs is None else jobs
+    slots = (user.load().jobs or granted_cores()) if jobs is None else jobs
     if slots < 1:
         raise UsageError(f"cannot execute {slots} runs at a time; use 1 or more")
     return slots

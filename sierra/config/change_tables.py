@@ -19,6 +19,10 @@ OWN_PLACEHOLDERS = ("input", "output", "run", "seed", "project", "python", "arch
 """Names in braces that have a meaning of their own in a command."""
 PORT_NAMES = ("port", *(f"port{number}" for number in range(2, 17)))
 """Names in braces that stand for free ports of a run, unless a variable or a list of `per_run` has the name."""
+CHECKPOINT = "checkpoint"
+"""The name in braces that stands for the folder of a run's checkpoint, with the same exception."""
+WORKER_NAMES = (*PORT_NAMES, CHECKPOINT)
+"""Names in braces that the worker fills in where it executes the run."""
 NO_CHANGE = 'it changes nothing; give it "set", "repeat", "changes", "argument" or "environment"'
 NOT_VARIED = ("HOME", "TMPDIR", "PATH", "LD_LIBRARY_PATH", "LD_PRELOAD", "PYTHONPATH", "PYTHONHOME")
 """Environment variables that no variable of a query can set: the programs that runs use depend on them, or SIERRA sets them."""

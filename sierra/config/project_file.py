@@ -134,8 +134,9 @@ class Project(Table):
     )
     command: Annotated[tuple[str, ...], BeforeValidator(as_words, json_schema_input_type=Words)] = Field(
         (),
-        description="the program and its arguments; {input}, {output}, {seed}, {project}, {python}, {arch}, {port} (a free "
-        "port; {port2} to {port16} are others) and the query's variables are filled in",
+        description="the program and its arguments; {input}, {output}, {seed}, {project}, {python}, {arch}, {checkpoint} (a "
+        "folder that outlives a run that is cut off), {port} (a free port; {port2} to {port16} are others) and the query's "
+        "variables are filled in",
     )
     robots: RobotsTable | None = Field(None, description="the robots of each run; default: runs take no robots")
     before: Commands = Field(

@@ -21,7 +21,9 @@ from sierra.store.layout import user_settings
 class Settings(Table):
     """The user's file `config.toml`."""
 
-    jobs: PositiveInt | None = Field(None, description="runs at a time; default: the number of usable cores")
+    jobs: PositiveInt | None = Field(
+        None, description="runs at a time; default: the number of usable cores, within a job of SLURM or PBS those of the job"
+    )
     figures: bool = Field(True, description="whether `sierra run` draws figures")
     runners: Mapping[str, RawTable] = Field(
         default_factory=dict, description="clusters for `sierra reproduce --on`, by name, as in `sierra.toml`"

@@ -47,7 +47,7 @@ from sierra.model import (
     Set,
     Value,
 )
-from sierra.templates.base import FOLDERS, PORTS, Template
+from sierra.templates.base import FOLDERS, OF_WORKER, Template
 from sierra.util.lazy_definitions import dataclass, field, replace
 
 GROUPED = ("controller", "scenario")
@@ -436,7 +436,7 @@ def _together(values: Mapping[str, Value], placed: Sequence[Placed]) -> dict[str
 
 
 def _joined(values: Mapping[str, Value], parameters: Mapping[str, Value]) -> dict[str, Value]:
-    if both := sorted(name for name in values.keys() & parameters.keys() if values[name] != PORTS.get(name)):
+    if both := sorted(name for name in values.keys() & parameters.keys() if values[name] != OF_WORKER.get(name)):
         raise QueryError(
             f"{both[0]!r} has two values: it is also a parameter in the name of a controller or scenario; rename it"
         )

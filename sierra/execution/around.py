@@ -11,7 +11,7 @@ import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from sierra.config.change_tables import OWN_PLACEHOLDERS, PORT_NAMES
+from sierra.config.change_tables import OWN_PLACEHOLDERS, WORKER_NAMES
 from sierra.config.execution_tables import ServiceTable
 from sierra.config.project_file import Project
 from sierra.design.run_values import Declared
@@ -33,7 +33,7 @@ def declared(config: Project, root: Path, values: Declared, *, contained: bool =
     QueryError for a variable that the query does not vary.
     """
 
-    of_run = (*KNOWN, *PORT_NAMES, *values.names)
+    of_run = (*KNOWN, *WORKER_NAMES, *values.names)
 
     def words(name: str, argv: Iterable[str], known: Sequence[str] = of_run) -> tuple[str, ...]:
         return commands.checked(

@@ -6,7 +6,8 @@ Placeholders of a command: `{input}` is the first input file, `{output}` the fol
 arguments that the template gives, or those that the variables of the query declare (`argument`); without it, these follow the
 command. `{input.NAME}` is one of several templates. The name of a variable of the query stands for its value: see
 `sierra.design.run_values`. `{port}`, `{port2}`, … are free ports, which the worker chooses where it executes the run; until
-then, marks stand for them, and the number is in no id. `{{name}}` stands for the text `{name}`. A word that names a file
+then, marks stand for them, and the number is in no id. `{checkpoint}` is a folder that the next execution of a run gets if this
+one is cut off (see `sierra.worker.checkpoints`). `{{name}}` stands for the text `{name}`. A word that names a file
 relative to the project's root becomes `{project}/word`, because runs have folders of their own.
 """
 
@@ -17,13 +18,13 @@ import os
 import re
 import shutil
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from sierra.config.change_tables import NOT_VARIED, OWN_PLACEHOLDERS, PORT_NAMES
+from sierra.config.change_tables import CHECKPOINT, NOT_VARIED, OWN_PLACEHOLDERS, PORT_NAMES, WORKER_NAMES
 from sierra.config.project_file import Project
 from sierra.containers.engines.base import (
     HERE,
@@ -52,7 +53,7 @@ from sierra.templates.base import ARGUMENTS, FOLDERS, PORTS, Files
 from sierra.util import processors
 from sierra.util.hashing import digest_plain
 from sierra.util.lazy_definitions import regex
-from sierra.worker import ports, program
+from sierra.worker import layout, ports, program
 from sierra.worker.devices import requested
 from sierra.worker.job import CONDUCTED
 from sierra.worker.layout import RUNS
@@ -123,7 +124,10 @@ def command(
     variable that the query does not vary.
     """
     own = KNOWN_ON_ROBOTS if project is not None and project.robots else OWN_PLACEHOLDERS
-    known = (*own, *PORT_NAMES, *declared.names)
+    on_robots = project is not None and project.robots is not None
+    if project and project.robots and CHECKPOINT not in declared.names:
+        _check_no_checkpoint((*project.robots.words, *platform.command(), *project.environment.set.values()))
+    known = (*own, *(PORT_NAMES if on_robots else WORKER_NAMES), *declared.names)
     given = project.robots.command if project is not None and project.robots else ()
     words = _with_arguments(given or platform.command(), declared.arguments)
     return checked(words, root, "command", known, contained=contained, produced=produced, declared=declared, project=project)
@@ -161,6 +165,12 @@ def checked(
                 hint = f"known are {listed}; write {{{{{name}}}}} for the text {{{name}}}"
                 raise ConfigError(f"{key}: unknown placeholder {{{name}}} in {word!r}; {hint}")
     return words
+
+
+def _check_no_checkpoint(texts: Iterable[str]) -> None:
+    """Raise ConfigError if a text of runs on robots names a checkpoint."""
+    if _uses(texts, CHECKPOINT):
+        raise ConfigError("{checkpoint} in the command or a variable: runs on robots have no checkpoint; remove it")
 
 
 def with_values(variables: Mapping[str, str], declared: Declared) -> dict[str, str]:
@@ -388,6 +398,7 @@ class CommandBuilder:
         allots: bool = False,
         stays: bool = False,
         beside: Path | None = None,
+        checkpoint: Callable[[str], Path] | None = None,
         success: Sequence[int] = (0,),
         accept: Sequence[int] = (),
         timeouts: Mapping[str, float] | None = None,
@@ -399,7 +410,8 @@ class CommandBuilder:
 
         `root` is the folder of the code, `project` the user's project folder. `box` is the container specification, if runs
         execute in containers. `programs` is the zip that containers need. `allots`: the worker gives devices to runs. `stays`:
-        the runs execute on a cluster. `beside` is the folder of the files that lie beside the inputs of runs. With an `image`
+        the runs execute on a cluster. `beside` is the folder of the files that lie beside the inputs of runs. `checkpoint`
+        returns the folder of a run's checkpoint by its id; without it, each execution begins with an empty one. With an `image`
         and without a `box`, runs get the image's variables on this machine. `success` are the exit statuses of a successful
         command, `accept` those of results that are no success, and `timeouts` the seconds in which services must be ready, by
         name. `observed`: services that runs share are observed. `python` is the value of `{python}` without an image, `arch`
@@ -416,8 +428,11 @@ class CommandBuilder:
         self._programs = programs
         self._here = RUN if box and not box.shared else HERE
         self._on_robots = spec.robots is not None
+        self._checkpoint = checkpoint
         self._placed = {"project": PROJECT if box else ON_ROBOT if self._on_robots else str(root)}
         self._placed |= PORTS
+        if not self._on_robots:
+            self._placed[CHECKPOINT] = f"{self._here}/{layout.CHECKPOINT}"
         self._placed["arch"] = ARCH_ON_ROBOT if self._on_robots else arch or processors.here()
         python = ROBOT_PYTHON if self._on_robots else python
         self._placed["python"] = PYTHON if image else python
@@ -451,7 +466,12 @@ class CommandBuilder:
         values = self._values(files, seed, given.values)
         argv = self._argv(self._spec.command, files, values, alike=not given.values)
         variables = {**self._environment, **self._own_variables(self._environment, values), **own, **given.environment}
-        client = self._shared or self._contained(argv, variables)
+        folders = self._folders(files)
+        texts = (*argv, *variables.values(), *(folders or {}).values())
+        kept = self._checkpoint is not None and any(layout.CHECKPOINT in text for text in texts)
+        if kept and self._shared:
+            raise ConfigError('{checkpoint} needs a container for each run; set isolation = "run" in [container]')
+        client = self._shared or self._contained(argv, variables, kept=kept)
         return Job(
             run.id,
             execution,
@@ -461,7 +481,8 @@ class CommandBuilder:
             self._bounds,
             client,
             shared=self._shared is not None,
-            folders=self._folders(files),
+            folders=folders,
+            checkpoint=str(self._checkpoint(run.id)) if kept and self._checkpoint else None,
             beside=(_BESIDE if self._shared else str(self._beside)) if self._beside else None,
         )
 
@@ -493,7 +514,9 @@ class CommandBuilder:
         if not any(mark in content for _, content in files for mark in marks):
             wide = (content.replace(b"\0", b"") for _, content in files if b"\0" in content)
             if any(mark in content for content in wide for mark in marks):
-                raise ConfigError("{project}, {output} and {port} can only be filled in in UTF-8; save the template as UTF-8")
+                raise ConfigError(
+                    "{project}, {output}, {checkpoint} and {port} can only be filled in in UTF-8; save the template as UTF-8"
+                )
             return None
         project, mark = self._placed["project"], FOLDERS["project"].encode()
         if not (self._on_robots or SAFE.fullmatch(project)) and any(mark in content for _, content in files):
@@ -501,7 +524,12 @@ class CommandBuilder:
                 f"{{project}} in an input would be {project!r}, which some formats would read in another way; "
                 "move the project to a folder with a plain name"
             )
-        return {FOLDERS["project"]: project, FOLDERS["output"]: f"{self._here}/{RUN_OUTPUT}"}
+        paths = {FOLDERS["project"]: project, FOLDERS["output"]: f"{self._here}/{RUN_OUTPUT}"}
+        if any(FOLDERS[CHECKPOINT].encode() in content for _, content in files):
+            if self._on_robots:
+                raise ConfigError("{checkpoint} in an input: runs on robots have no checkpoint; remove it")
+            paths[FOLDERS[CHECKPOINT]] = f"{self._here}/{layout.CHECKPOINT}"
+        return paths
 
     def _values(self, files: Files, seed: str, given: Mapping[str, str]) -> dict[str, str]:
         """Return the texts of a run's own placeholders."""
@@ -573,13 +601,15 @@ class CommandBuilder:
         marked = (PORT.sub(lambda match: PORT_MARK.format(match[1]), word) for word in words)
         return fill(marked, self._root, {**self._placed, **(values or {})}, project=self._project)
 
-    def _contained(self, argv: tuple[str, ...], variables: Mapping[str, str]) -> Client | None:
-        """Return the client that starts the container of one run; None without containers."""
+    def _contained(self, argv: tuple[str, ...], variables: Mapping[str, str], *, kept: bool) -> Client | None:
+        """Return the client that starts the container of one run; None without containers. `kept`: it has a checkpoint."""
         if self._box is None:
             return None
         more: tuple[Mount, ...] = ()
         if self._spec.around:
             argv, more = (*CONDUCTING, *argv[1:]), (self._mount(),)
+        if kept:
+            more = (*more, Mount(f"{HERE}/{layout.CHECKPOINT}", f"{RUN}/{layout.CHECKPOINT}", writable=True))
         return self._engine.client(self._box, run_process(argv, variables, *more))
 
     def _container(self) -> Client:

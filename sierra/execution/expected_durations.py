@@ -14,6 +14,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 
+from sierra.config.change_tables import CHECKPOINT
 from sierra.errors import SierraError
 from sierra.execution.plan import Plan
 from sierra.model import Batch, Times, Value
@@ -118,7 +119,9 @@ def expected(
     timed = sum(duration is not None for duration in exact.values())
     there = (known.there(plan.batch.experiments[ordinal].values) for ordinal in wanted)
     longest = max((seconds for seconds in there if seconds is not None), default=None)
-    return order, Times(each, new, _description(timed, len(exact), plan.batch.axes), longest)
+    spec = plan.batch.spec
+    continues = any(f"{{{CHECKPOINT}}}" in text for text in (*spec.words, *spec.environment.values()))
+    return order, Times(each, new, _description(timed, len(exact), plan.batch.axes), longest, continues)
 
 
 def longest_first(plan: Plan, store: Store, runs: AbstractSet[str]) -> Order:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 from sierra.config.execution_tables import Container
@@ -29,7 +30,7 @@ from sierra.ingest.changed_files import Doubt
 from sierra.ingest.observations import recorded_name
 from sierra.ingest.recorder import Recorder
 from sierra.ingest.recording_context import Context
-from sierra.model import Helps, Job, Limits, Run, RunSpec, Times
+from sierra.model import Helps, Job, Limits, Purpose, Run, RunSpec, Times
 from sierra.provenance import environment, tracer
 from sierra.provenance.change_guard import ChangeGuard
 from sierra.provenance.dependency_model import Programs
@@ -168,7 +169,7 @@ class JobService:
         context = replace(context, **self.isolation.context)
         context.save(self._session.paths.context)
         record = self._setup.project.config.environment.record
-        builder = self._builder(sorted(context.success.statuses), sorted(context.success.accepted_statuses))
+        builder = self._builder(context)
         work = Work(
             self._observed(
                 ((run, builder.job(run, files, attempt)) for run, files in inputs),
@@ -199,8 +200,8 @@ class JobService:
             if not self._stays:
                 self.isolation.close()
 
-    def _builder(self, success: Sequence[int], accept: Sequence[int]) -> commands.CommandBuilder:
-        setup = self._setup
+    def _builder(self, context: Context) -> commands.CommandBuilder:
+        setup, success = self._setup, context.success
         return commands.CommandBuilder(
             setup.spec,
             setup.root,
@@ -214,8 +215,11 @@ class JobService:
             allots=self._stays or setup.limits.gpus is not None,
             stays=self._stays,
             beside=self._session.paths.shared if self._beside else None,
-            success=success,
-            accept=accept,
+            checkpoint=partial(self._store.paths.checkpoint, programs=context.programs)
+            if context.purpose == Purpose.RUN
+            else None,
+            success=sorted(success.statuses),
+            accept=sorted(success.accepted_statuses),
             timeouts={name: table.timeout for name, table in setup.project.config.services.items()},
             observed=self._is_observed(),
         )

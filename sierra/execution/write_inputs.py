@@ -37,13 +37,14 @@ from sierra.model import Batch, Job, Run
 from sierra.store.layout import RUN_OUTPUT
 from sierra.store.row_types import SharedFileRow
 from sierra.store.segments import disk_errors
-from sierra.templates.base import PORTS
+from sierra.templates.base import OF_WORKER
 from sierra.util import processors
 from sierra.util.fs import inside
 from sierra.util.hashing import sha256_file
 from sierra.util.lazy_definitions import dataclass, regex
 from sierra.util.scratch import scratch
 from sierra.worker.job import CONDUCTED
+from sierra.worker.layout import CHECKPOINT
 
 MANIFEST, REQUEST, RUNS, COMMAND = "manifest.csv", "batch.json", "runs", "command.json"
 EXECUTE, SCRIPT, ENDED = "execute.sh", "command.sh", "ended.json"
@@ -178,10 +179,11 @@ def _as_json(command: _Command) -> bytes:
 
 
 def _is_incomplete(job: Job, command: _Command) -> bool:
-    """Check whether a command needs free ports, or programs around it: whoever executes it must see to these."""
+    """Check whether a command needs ports, a checkpoint, or programs around it: whoever executes it must see to these."""
     variables = (job.environment[name] for name in command["environment"])
     texts = (*(text.encode("utf-8", "surrogateescape") for text in (*job.argv, *variables)), *(file for _, file in job.files))
-    return job.argv[:1] == (CONDUCTED,) or any(mark.encode() in text for mark in PORTS.values() for text in texts)
+    marks = (*OF_WORKER.values(), f"{HERE}/{CHECKPOINT}")
+    return job.argv[:1] == (CONDUCTED,) or any(mark.encode() in text for mark in marks for text in texts)
 
 
 def _script(run: str, command: _Command) -> bytes:
@@ -241,12 +243,13 @@ def _filled(content: bytes, folders: Mapping[str, str] | None) -> bytes:
 
 def _relative(text: str) -> str:
     """Return a text in which paths of the run's folder are relative to its folder for outputs."""
+    text = text.replace(f"{HERE}/{CHECKPOINT}", OF_WORKER["checkpoint"])
     return _with_names(_OF_RUN.sub(lambda found: "." if found[1] else "..", text))
 
 
 def _with_names(text: str) -> str:
-    """Return a text with `{port}` in the place of the marks of ports: whoever executes the run chooses them."""
-    for name, mark in PORTS.items():
+    """Return a text with `{port}` and `{checkpoint}` in the place of marks: whoever executes the run chooses these."""
+    for name, mark in OF_WORKER.items():
         text = text.replace(mark, f"{{{name}}}")
     return text
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import math
 import shutil
+import signal
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
@@ -28,7 +29,7 @@ from sierra.ingest.read_into_segment import TableIngest, file_rows, recorded_nam
 from sierra.ingest.recording_context import Context
 from sierra.ingest.success import Judgement, judge
 from sierra.ingest.suspicious_tables import TableWarnings, as_files, lost
-from sierra.model import LateFiles, OutputFile, Result, Status
+from sierra.model import LateFiles, OutputFile, Purpose, Result, Status
 from sierra.provenance.hash_cache import HashCache
 from sierra.store import endings, equal_runs
 from sierra.store.endings import Kind
@@ -51,6 +52,7 @@ from sierra.util.hashing import merkle, short
 from sierra.util.json_types import RecordValue
 from sierra.util.kept_log import kept_of, with_cause
 from sierra.util.text import one_line
+from sierra.worker import checkpoints
 from sierra.worker.files import remove
 from sierra.worker.outputs import described, list_files
 
@@ -89,6 +91,8 @@ LATE = "late"
 """The folder of the files of robots that were lost, and have given them back later; each place has a folder."""
 WITH_EXECUTION = ("robots", "trials")
 """Tables of which a runner reports rows that are recorded with their execution."""
+CUT_OFF = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
+"""Signals by which others end a run."""
 ONCE = {"environments": "environment", "isolations": "isolation"}
 """Tables of which a runner reports the same rows again and again, with the columns that identify them."""
 TRACED = "strace"
@@ -171,6 +175,8 @@ class Recorder:
         self._late: list[LateFiles] = []
         self._collected: dict[str, None] = {}
         """Notes about late files."""
+        self._outdated: set[str] = set()
+        """The checkpoints to remove: an execution that has just ended may still hold its own."""
         self._copies: list[Result] = []
         self._copied = self._unlike = 0
         self._bytes = 0
@@ -187,6 +193,8 @@ class Recorder:
         if status is Status.INTERRUPTED:
             self._parts.pop(result.execution, None)
             self.lost = min(self.lost, result.started)
+            if (checkpoint := self._checkpoint(result.run)) is not None and self._doubt() is not None:
+                self._outdated.add(checkpoint)
             self._move_or_remove(result)
         else:
             trial = self.context.trial
@@ -250,6 +258,7 @@ class Recorder:
             self._pending, self._waiting = self._by_others(doubt, last=last)
             failed += self._record_pending() if self._pending else []
         self._record_late()
+        self._outdated = {checkpoint for checkpoint in self._outdated if not checkpoints.discard(checkpoint)}
         return failed
 
     def _note(self, doubt: Doubt) -> None:
@@ -300,6 +309,8 @@ class Recorder:
             self._ruled += 1
             for judgement in judged:
                 self._move_or_remove(judgement.result)
+                if not _keeps_checkpoint(judgement, doubted=self.doubted):
+                    self._outdated.update(filter(None, [self._checkpoint(judgement.result.run)]))
             self._pending = rest
             self._other_rows, self._copies = {}, []
             failed += [
@@ -333,6 +344,11 @@ class Recorder:
             with contextlib.suppress(FileNotFoundError):
                 shutil.move(folder, inside(self._kept, short(result.run)))
         discard(folder, self._session)
+
+    def _checkpoint(self, run: str) -> str | None:
+        """Return the checkpoint of a run; None if it has none that executions of this purpose use."""
+        path = self._store.paths.checkpoint(run, self.context.programs)
+        return str(path) if self.context.purpose == Purpose.RUN and path.is_dir() else None
 
     def find_astray(self) -> set[str]:
         """Find executions that most likely wrote all their files elsewhere, record findings, and return their runs.
@@ -506,14 +522,32 @@ class Recorder:
         )
 
 
-def _endings(one: Judgement) -> Iterator[EndingRow]:
+def _keeps_checkpoint(judgement: Judgement, *, doubted: bool) -> bool:
+    """Return whether the next execution of a run continues from its checkpoint: this one was cut off, or failed for once.
+
+    If an execution that had continued fails by itself, or has too many files, its checkpoint may be the cause: the next one
+    begins anew. `doubted`: files have changed, so that the checkpoint may be one of other code.
+    """
+    result = judgement.result
+    if judgement.status.is_result or doubted:
+        return False
+    if result.stopped is not None:
+        return result.stopped != Status.OUTPUT or not result.resumed
+    if result.signal in CUT_OFF:
+        return True
+    return result.exit_code != 0 and not result.resumed
+
+
+def _endings(judgement: Judgement) -> Iterator[EndingRow]:
     """Yield the remarks on how an execution ended. An error counts only if its status does not say the same."""
-    result = one.result
+    result = judgement.result
     for name in result.left_running:
         yield EndingRow(result.execution, Kind.LEFT_RUNNING, name)
+    if result.resumed:
+        yield EndingRow(result.execution, Kind.RESUMED, "{checkpoint}")
     if result.after_marker is not None:
         yield EndingRow(result.execution, Kind.AFTER_MARKER, f"{result.after_marker:g}")
-    elif one.status is Status.OK and result.exit_code == 0 and (error := stderr.error_at_end(result.directory)):
+    elif judgement.status is Status.OK and result.exit_code == 0 and (error := stderr.error_at_end(result.directory)):
         yield EndingRow(result.execution, *error)
 
 

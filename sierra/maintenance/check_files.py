@@ -48,6 +48,7 @@ from sierra.util.fs import UNFINISHED_END
 from sierra.util.hashing import sha256, unsealed
 from sierra.util.lazy_definitions import dataclass, field, regex, replace
 from sierra.util.shortage import shortage
+from sierra.worker import checkpoints
 
 ASIDE = regex(rf"{NAME.pattern}(\.\d+)?")
 """The pattern of the name of a segment that a repair has put aside."""
@@ -61,7 +62,9 @@ FIXED = {"format": FORMAT, ".gitignore": "*\n", "CACHEDIR.TAG": CACHEDIR}
 """Files that are the same in every store, but that `format` may have the number of the former format."""
 DERIVED = frozenset(("files", "numbers"))
 """Files that are derived from others, and made again if they are missing."""
-FOLDERS = frozenset(("segments", "index", "work", "damaged", "kept", "images", "logs", "build", "try", "extracted"))
+FOLDERS = frozenset(
+    ("segments", "index", "work", "damaged", "kept", "images", "logs", "build", "try", "extracted", "checkpoints")
+)
 
 
 @dataclass(slots=True)
@@ -167,6 +170,10 @@ def _top(paths: StorePaths) -> Iterator[Finding]:
         path = Path(entry.path)
         if path not in known:
             yield Finding(Kind.FOREIGN, _shown(paths, path), "is not a session's log; move it away if it is yours")
+    for entry in _entries(paths.checkpoints):
+        if not checkpoints.is_marked(entry.path):
+            path = Path(entry.path)
+            yield Finding(Kind.FOREIGN, _shown(paths, path), "is not a run's checkpoint; move it away if it is yours")
 
 
 def has_segments(paths: StorePaths) -> bool:

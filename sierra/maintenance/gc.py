@@ -2,8 +2,9 @@
 
 It removes folders of sessions that died (their finished executions are recorded first), unfinished files (also those of
 figures, videos and reports, and the temporary files of runs whose worker was killed), replaced segments, and recorded files
-that no record refers to. It leaves git's `refs/sierra/` alone: other projects and stores may share the repository, and no store
-knows all of them. It removes segments that a repair put aside only on request.
+that no record refers to. It removes the checkpoints of runs that were cut off, if no session is alive. It leaves git's
+`refs/sierra/` alone: other projects and stores may share the repository, and no store knows all of them. It removes segments
+that a repair put aside only on request.
 
 On request only, it also removes the bytes of files that became tables; their rows stay. Bytes stay if they are also the bytes
 of an input, of a file that did not become a table, or of a source.
@@ -33,6 +34,7 @@ from sierra.util import scratch
 from sierra.util.chunking import by_weight
 from sierra.util.lazy_definitions import dataclass, replace
 from sierra.util.text import counted
+from sierra.worker import checkpoints
 from sierra.worker.files import remove
 from sierra.worker.processes import birth
 from sierra.worker.temporary_folders import abandoned_by
@@ -72,12 +74,15 @@ class Collection:
     """Log files of sessions that are not recorded and have ended."""
     unrecorded: tuple[str, ...] = ()
     """A message about each session that died and cannot be recorded; its files are kept."""
+    checkpoints: int = 0
+    """Checkpoints of runs that were cut off; none as long as a session is alive, which may need them."""
     left: int = 0
     """Segments that another process was still reading; the next gc removes them."""
 
     @property
     def nothing(self) -> bool:
-        return not any((self.sessions, self.unfinished, self.replaced, self.objects, self.merged, self.damaged, self.logs))
+        counts = (self.sessions, self.unfinished, self.replaced, self.objects, self.merged, self.damaged, self.logs)
+        return not any((*counts, self.checkpoints))
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +119,7 @@ def plan(store: Store, project: Path | None = None, *, damaged: bool = False, ra
         aside,
         planned.raw,
         logs=len(_logs(store)),
+        checkpoints=len(_checkpoints(paths)),
     )
 
 
@@ -145,6 +151,8 @@ def collect(
         remove(str(path))
     for path in _logs(store):
         path.unlink(missing_ok=True)
+    for path in _checkpoints(paths):
+        checkpoints.discard(str(path))
     left = 0
     with changing(paths) as session:
         planned = _plan(store, raw=raw)
@@ -184,6 +192,16 @@ def _logs(store: Store) -> list[Path]:
         return []
     known = set(store.values(str, SESSIONS)) | {session.root.name for session in sessions.all_of(store.paths)}
     return [path for path in found if path.stem not in known]
+
+
+def _checkpoints(paths: StorePaths) -> list[Path]:
+    """Return the checkpoints of runs, unless a session is alive: its runs may continue from them, also later on a cluster."""
+    if not paths.checkpoints.is_dir():
+        return []
+    with sessions.exclusively(paths) as locks:
+        if not locks or sessions.alive(paths):
+            return []
+    return [path for path in sorted(paths.checkpoints.iterdir()) if checkpoints.is_marked(str(path))]
 
 
 def _unfinished(paths: StorePaths, project: Path | None) -> Iterator[Path]:
@@ -268,6 +286,7 @@ def text(collection: Collection) -> list[str]:
         (collection.raw, "file", RAW_LOST),
         (collection.merged, "small segment", f", merged into {collection.into}"),
         (collection.logs, "log file", " of sessions that are not recorded"),
+        (collection.checkpoints, "checkpoint", " of runs that were cut off, which then begin anew"),
         (collection.damaged, "folder", " of damaged segments that a repair put aside, and of sessions that cannot be recorded"),
     )
     return [f"{counted(count, noun)}{rest}" for count, noun, rest in counts if count]

@@ -321,6 +321,8 @@ def record(job: Job) -> JobRecord:
     }
     if job.folders is not None:
         record["folders"] = dict(job.folders)
+    if job.checkpoint is not None:
+        record["checkpoint"] = job.checkpoint
     if job.beside is not None:
         record["beside"] = job.beside
     if client := job.client:

@@ -19,7 +19,7 @@ from sierra.errors import SierraError
 from sierra.store.layout import ProjectPaths, StorePaths, user_settings
 from sierra.util import processors
 from sierra.util.lazy_definitions import dataclass
-from sierra.worker.machine import usable_cores
+from sierra.worker.machine import granted_cores
 from sierra.worker.temporary_folders import TEMPORARY_LENGTH, temporary_folders
 
 State = Literal["ok", "absent", "missing"]
@@ -52,7 +52,7 @@ def all_checks() -> list[Check]:
 def _machine() -> Iterator[Check]:
     version = f"{platform.python_version()} ({sys.executable})"
     yield _check("python", sys.version_info >= (3, 11), version, "install 3.11 or newer")
-    yield Check("cores", "ok", f"{usable_cores()} usable")
+    yield Check("cores", "ok", f"{granted_cores()} usable")
     free = shutil.disk_usage(Path.cwd()).free
     yield _check("disk", free > 1 << 30, f"{free / 1e9:.1f} GB free here", "free some disk space")
     reaper = Path(f"/proc/self/task/{os.getpid()}/children").exists()

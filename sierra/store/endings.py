@@ -20,6 +20,7 @@ class Kind(StrEnum):
     ERROR = "error"
     ERROR_ON_STDOUT = "error on stdout"
     AFTER_MARKER = "after marker"
+    RESUMED = "resumed"
 
 
 CURES = {
@@ -74,9 +75,14 @@ def notes(snapshot: Snapshot, batch: str) -> Iterator[str]:
     if left := affected.get(Kind.LEFT_RUNNING):
         cure = 'let the command wait for them; leftovers = "fail" in [success] makes such runs fail'
         yield f"{_left_running(left, texts)} ({cure})"
+    if resumed := affected.get(Kind.RESUMED):
+        yield (
+            f"{resumed.runs} of {counted(resumed.of, 'run')} continued from the checkpoint of an execution that was cut off; "
+            "sierra replay executes them from the beginning"
+        )
     for kind, cure in CURES.items():
         if bad := affected.get(kind):
-            yield _errors(bad, texts[kind], cure.format(pattern=_pattern([one.text for one in texts[kind]])))
+            yield _errors(bad, texts[kind], cure.format(pattern=_pattern([remark.text for remark in texts[kind]])))
 
 
 def left_running(store: Store, batch: str) -> str:

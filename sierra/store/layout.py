@@ -34,6 +34,8 @@ PROJECT/.sierra/logs/<session>.log  messages of a session, <session>.old: the ea
 PROJECT/.sierra/build/              lock: held while products are built; aside/: older products meanwhile
 PROJECT/.sierra/try/                mark  lock; run/: the folder of the run that `sierra try` executed last; store/: its records
                                     while it executes
+PROJECT/.sierra/checkpoints/<run>.<programs>/  mark, files/: the checkpoint of a run that was cut off; see
+                                    sierra.worker.checkpoints
 PROJECT/.sierra/extracted/          recorded files, while a video of them is made
 PROJECT/.sierra/kept/<replay>/      files that `sierra replay --keep` leaves: source/, and each run's folder by its id
 """
@@ -139,6 +141,8 @@ class StorePaths:
     """The folder of what `sierra replay --keep` leaves."""
     extracted = _Below("extracted")
     """The folder of recorded files that a process needs as files; each process has a folder of its own."""
+    checkpoints = _Below("checkpoints")
+    """The folder of checkpoints; each one is removed when its run has succeeded."""
     tries = _Below("try")
     """The folder of what `sierra try` leaves; the next one replaces it."""
     build = _Below("build")
@@ -159,6 +163,10 @@ class StorePaths:
     def kept(self, replay: str) -> Path:
         """Return the folder of the files that `sierra replay --keep` leaves."""
         return inside(self.kept_files, replay)
+
+    def checkpoint(self, run: str, programs: str) -> Path:
+        """Return the checkpoint of a run that these programs execute: others may not understand its files."""
+        return inside(self.checkpoints, f"{run}.{programs[:16]}")
 
     @property
     def trial(self) -> TrialPaths:

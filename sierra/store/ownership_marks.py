@@ -4,6 +4,7 @@
 .sierra/work/mark           the id of the store that owns these sessions
 .sierra/work/<session>/     a session: its name has 16 hexadecimal digits, and the process that made it signed `owner.0`
     elsewhere               the path of the folder where its runs execute, if it is not this one
+.sierra/checkpoints/<run>.<programs>/mark  its own name; see `sierra.worker.checkpoints`
 PATH/<id>/mark              the id of the store that executes runs here; `PATH` is `[store] work_folder`, for many stores
 PATH/<id>/<session>/mark    the id of the session
 

@@ -707,11 +707,12 @@ class EndingRow(NamedTuple):
         Kept,
         "left running (a process that still ran when the command had ended, and was ended), error (the error message with "
         "which standard error of a successful execution ends), error on stdout (the same, if it printed nothing on standard "
-        "error) or after marker (it was ended because its marker was met)",
+        "error), after marker (it was ended because its marker was met) or resumed (it continued from the checkpoint of an "
+        "execution that was cut off)",
     ]
     text: Annotated[
         Kept,
-        "the process: its program and the first words; the error message; the seconds from marker to end",
+        "the process: its program and the first words; the error message; the seconds from marker to end; {checkpoint}",
     ]
 
 

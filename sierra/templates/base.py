@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import ClassVar, Protocol
 
 from sierra.config import extensions
-from sierra.config.change_tables import PORT_NAMES
+from sierra.config.change_tables import CHECKPOINT, PORT_NAMES
 from sierra.config.field_types import Table
 from sierra.config.plugin_registry import TEMPLATES, Tables
 from sierra.errors import Missing, TemplateError
@@ -33,7 +33,9 @@ ARGUMENTS = "arguments.json"
 """The name of a file with arguments: a list of texts, as JSON. In a command, they take the place of the word `{arguments}`."""
 PORTS: Mapping[str, str] = {name: f"{PORT_MARK}{number:02}" for number, name in enumerate(PORT_NAMES, 1)}
 """The names that stand for free ports of a run, and the mark of each: a number, so that it fits where a format has numbers."""
-FOLDERS: Mapping[str, str] = {"project": FOLDER + "Project", "output": FOLDER + "Output", **PORTS}
+OF_WORKER: Mapping[str, str] = {**PORTS, CHECKPOINT: FOLDER + "Checkpoint"}
+"""Those names, and the one of the folder of a run's checkpoint, with the mark of each."""
+FOLDERS: Mapping[str, str] = {"project": FOLDER + "Project", "output": FOLDER + "Output", **OF_WORKER}
 """The names that stand for a folder or a port in values of changes, and the mark of each in generated files.
 
 The marks are part of the identity of a run. When it is executed, the paths of the folders, and the ports, take their place.

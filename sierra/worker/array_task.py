@@ -30,9 +30,9 @@ nobody waits for the results any more, and running runs are ended. The exit stat
 trouble. The reason is also written to stderr, and so is the time that the task had run when it was told to end.
 
 A task whose time (`--wall=SECONDS`) will be over before its runs are finished requests its scheduler to start it again, once
-and shortly before the end: by the command `requeue` of the settings, with its own id. It does so only if a run has ended, so
-that each attempt makes progress, and if nothing is cancelled. It submits no new jobs. If the request is refused, it continues
-as long as it may.
+and shortly before the end: by the command `requeue` of the settings, with its own id. It does so only if a run has ended or has
+written to its checkpoint, so that each attempt makes progress, and if nothing is cancelled. It submits no new jobs. If the
+request is refused, it continues as long as it may.
 
     python3 -I -S FOLDER/worker.pyz array_task FOLDER --probe INDEX
 
@@ -58,7 +58,7 @@ from functools import partial
 from types import FrameType
 from typing import Callable, Iterable, NamedTuple
 
-from sierra.worker import machine, program, result_log
+from sierra.worker import checkpoints, machine, program, result_log
 from sierra.worker.allocation import Allocation, Need, Needs, scratch
 from sierra.worker.element_jobs import Feeder
 from sierra.worker.errors import CannotContinue, explain
@@ -71,6 +71,8 @@ from sierra.worker.result_log import Attempt, Changed, File, Finished, Pack, Req
 HOLD_S = 0.2
 BEFORE_S = 60.0
 """The seconds before its end at which a task requests to be started again; at most a sixth of its time."""
+AGAIN_S = 1.0
+"""The seconds until a task that has made no progress looks again."""
 REQUEUE_S = 20.0
 GIVE_UP_S = 5.0
 """The seconds in which ended runs are still packed after the task was told to end."""
@@ -183,9 +185,16 @@ class Requeue:
         self._at = start_of_task() + wall - min(BEFORE_S, wall / 6) if wall and len(self._command) > 1 else float("inf")
         self.progressed = False
 
-    def send_if_due(self) -> None:
-        """Send the request if it is time to. If the scheduler agrees, it soon tells this task to end."""
-        if not self.progressed or time.clock_gettime(time.CLOCK_BOOTTIME) < self._at or os.path.exists(self._cancelled):
+    def send_if_due(self, has_continued: Callable[[], bool]) -> None:
+        """Send the request if it is time to. If the scheduler agrees, it soon tells this task to end.
+
+        `has_continued` returns whether a run in flight can continue from its checkpoint, which is progress, too.
+        """
+        now = time.clock_gettime(time.CLOCK_BOOTTIME)
+        if now < self._at or os.path.exists(self._cancelled):
+            return
+        if not (self.progressed or has_continued()):
+            self._at = now + AGAIN_S
             return
         self._at = float("inf")
         self._record(None)
@@ -268,11 +277,16 @@ class Execution:
             self._pack_due(now)
             self._pack.sync(now)
             if not (over or self._stopping) and (self._feeder.is_alive() or self._ended < self._feeder.sent):
-                self._requeue.send_if_due()
+                self._requeue.send_if_due(self._has_continued)
             if over and not events and not self._held:
                 return
             pause = BUSY_S if events or self._held else min(IDLE_S, 1.2 * pause)
             time.sleep(pause)
+
+    def _has_continued(self) -> bool:
+        """Return whether a run in flight has written to its checkpoint since the attempt began."""
+        paths = (path for execution, path in list(self._feeder.checkpoints.items()) if execution in self._begun)
+        return any(checkpoints.changed_since(path, self._pack.started) for path in paths)
 
     def _continue_stopped(self) -> None:
         """Continue the worker if a run has stopped it; kill it the second time, unless it is to end anyway."""

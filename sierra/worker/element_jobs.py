@@ -42,6 +42,7 @@ class Difference(TypedDict, total=False):
     budget: float
     affordable: float
     experiment: int
+    checkpoint: str
     end: int
     """The number of jobs; only in the last line."""
 
@@ -97,6 +98,8 @@ class Feeder(threading.Thread):
         self.permits = threading.Semaphore(permits)
         self.spare: deque[int] = deque()
         """The numbers of folders of packed runs, which other runs can reuse; see the worker."""
+        self.checkpoints: dict[str, str] = {}
+        """The checkpoints of runs that were sent, by execution."""
         self.sent = 0
         self.error: CannotContinue | None = None
 
@@ -110,6 +113,8 @@ class Feeder(threading.Thread):
                     if "observe" in job:
                         job["observe"] = {**job["observe"], "work": self._work}
                         job["ahead"] = self._ahead
+                    if "checkpoint" in job:
+                        self.checkpoints[job["execution"]] = job["checkpoint"]
                     self._send(job)
                     self.sent += 1
             self._send({"end": True})

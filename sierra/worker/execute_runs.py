@@ -39,7 +39,7 @@ from sierra.worker.devices import NoDevices
 from sierra.worker.files import last_line_of
 from sierra.worker.gpus import with_gpus
 from sierra.worker.journal import GrowingJournal
-from sierra.worker.machine import usable_cores
+from sierra.worker.machine import granted_cores, usable_cores
 from sierra.worker.package_places import Place, arch, place_of, shown_command
 from sierra.worker.package_plan import STDOUT, Batch, Run, choose, is_safe, missing, read_plan
 from sierra.worker.processes import stdin_of
@@ -303,7 +303,7 @@ def execute(
         print(line)
     if not batches:
         raise missing("no batch of the package can be executed without SIERRA")
-    slots = usable_cores()
+    slots = granted_cores()
     count, took = choose(batches, runs, None if seconds is None else seconds * slots)
     places = [place_of(batch, engine) for batch in batches if batch.only is None or batch.only]
     confirm("\n".join(proposal(places, count, took, slots)), yes=yes)

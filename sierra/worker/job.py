@@ -42,6 +42,15 @@ class Helps(TypedDict):
     digests: str
 
 
+class Claim(TypedDict):
+    """The checkpoint of a run, as long as this process has locked it."""
+
+    path: str
+    """The folder with its files."""
+    lock: int
+    """The descriptor of the locked file."""
+
+
 class Job(Program):
     """A run to execute: one line of the input."""
 
@@ -71,6 +80,11 @@ class Job(Program):
     helps: NotRequired[Helps]
     compares: NotRequired[bool]
     """The worker observes this run to compare it with one that was doubtful: see `Worker.with_observation`."""
+    checkpoint: NotRequired[str]
+    """The folder of the run's checkpoint, which its executions share: see `sierra.worker.checkpoints`."""
+    claim: NotRequired[Claim]
+    resumed: NotRequired[bool]
+    """True if the run begins with files in its checkpoint. The worker sets it, and `claim`."""
     waits: NotRequired[bool]
     """True: the run is prepared (event `ready`), and starts at the moment that the input gives later: see `Worker.read`.
 

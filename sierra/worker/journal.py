@@ -65,6 +65,7 @@ class Remains(TypedDict):
     gpu_limit: NotRequired[float | None]
     gpu_s: NotRequired[float | None]
     gpu_memory_bytes: NotRequired[int | None]
+    resumed: NotRequired[bool]
 
 
 class Start(TypedDict):

@@ -15,7 +15,7 @@ import platform
 import re
 import resource
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Dict, List, Optional, Union
@@ -29,6 +29,12 @@ ARITHMETIC = re.compile(
 """The x86 processor features by which numeric libraries select their code; for other processors, all features are kept."""
 ENGINES = ("docker", "podman", "kubepods", "lxc", "containerd", "apptainer", "singularity")
 ZONES = "/zoneinfo/"
+GROUPS = Path("/sys/fs/cgroup")
+ALLOCATED = {
+    "SLURM_JOB_ID": ("SLURM_CPUS_ON_NODE", "SLURM_JOB_CPUS_PER_NODE"),
+    "PBS_JOBID": ("NCPUS", "PBS_NP", "PBS_NUM_PPN"),
+}
+"""For each scheduler, the variable that a job has, and those that begin with its number of cores on the node."""
 Fact = Union[int, str, List[str], Dict[str, List[Optional[int]]], None]
 
 
@@ -42,6 +48,35 @@ def usable_cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def granted_cores(environment: Mapping[str, str] = os.environ) -> int:
+    """Return the number of usable cores that this process has for itself.
+
+    Within a job of SLURM or PBS (`salloc`, `qsub -I`), these are the job's on this host, also if nothing enforces it. In a
+    control group with a quota, as that of a container, they are as many as its time is enough for.
+    """
+    return max(1, min([usable_cores(), *_quotas(), *_allocated(environment)]))
+
+
+def _allocated(environment: Mapping[str, str]) -> Iterator[int]:
+    """Yield the cores that a scheduler's job has on this host, as the first of its variables says that is set."""
+    for job, names in ALLOCATED.items():
+        texts = [environment[name] for name in names if environment.get(name)] if environment.get(job) else []
+        numbers = re.match(r"[1-9][0-9]{0,8}(?![0-9])", texts[0]) if texts else None
+        if numbers:
+            yield int(numbers.group())
+
+
+def _quotas() -> Iterator[int]:
+    """Yield the cores whose time the control groups of this process may use, from the inner to the outer ones."""
+    named = re.search(r"^0::(/.*)$", _text(Path("/proc/self/cgroup")), re.MULTILINE)
+    path = Path("%s%s" % (GROUPS, os.path.normpath(named[1]))) if named else GROUPS
+    while path != GROUPS.parent and GROUPS in (path, *path.parents):
+        numbers = re.match(r"(\d+) (\d+)\s*$", _text(path / "cpu.max"))
+        if numbers and int(numbers[2]):
+            yield -(-int(numbers[1]) // int(numbers[2]))
+        path = path.parent
 
 
 def limits() -> dict[str, list[int | None]]:

@@ -36,9 +36,10 @@ UNKNOWN_S = 0.1  # for an observation, while none has ended
 
 def own_folders(running: Running) -> Mapping[str, str]:
     """Return the folders for temporary files of a run and its worker, by the names of the folders in whose place they are."""
+    kept = {} if running.checkpoint is None else {"run:checkpoint": running.checkpoint}
     if running.temporary is None:
-        return {}
-    return {"work:temporary": os.path.dirname(running.temporary), "run:temporary": running.temporary}
+        return kept
+    return {**kept, "work:temporary": os.path.dirname(running.temporary), "run:temporary": running.temporary}
 
 
 class Observations:

@@ -162,7 +162,9 @@ class Pack:
         """Create the file. Raises FileExistsError if the name is taken."""
         self.path = os.path.join(folder, "%s.%s.pack" % (index, attempt))
         self._file = os.open(self.path, os.O_CREAT | os.O_EXCL | os.O_WRONLY | os.O_CLOEXEC, 0o666)
-        self.clock = time.time() - os.fstat(self._file).st_mtime
+        self.started = os.fstat(self._file).st_mtime
+        """When it was created, by the file system's clock."""
+        self.clock = time.time() - self.started
         """The seconds that this node's clock is ahead of the file system's, by the time of the new file."""
         self._whole = self._synced = 0
         self._pending = bytearray()

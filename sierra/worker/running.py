@@ -87,6 +87,8 @@ class Running:
         self.folder = folder
         self.temporary: str | None = None
         """The folder for its temporary files, if that is not in its folder."""
+        self.checkpoint = job["claim"]["path"] if "claim" in job else None
+        """The folder of its checkpoint, if that is not in its folder."""
         self.pid = process.pid
         self.limits = job["limits"]
         self.client = with_folder(job["client"], folder) if "client" in job else None
@@ -260,6 +262,7 @@ def start(
             cwd=output,
             env=started["environment"],
             start_new_session=True,
+            pass_fds=(job["claim"]["lock"],) if "claim" in job else (),
         )
     finally:
         os.close(out)
@@ -302,7 +305,8 @@ def exceeded(running: Running) -> str | None:
             return "memory"
         if cpu_limit is not None and cpu > cpu_limit:
             return "cpu"
-    if output_limit is not None and sum(size_of(path) for path in (running.folder, running.temporary) if path) > output_limit:
+    places = (running.folder, running.temporary, running.checkpoint)
+    if output_limit is not None and sum(size_of(path) for path in places if path) > output_limit:
         return "output"
     if any(size_of_file(os.path.join(running.folder, name)) > LOG_BYTES for name in LOGS):
         return "output"

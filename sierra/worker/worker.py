@@ -45,6 +45,7 @@ import threading
 import time
 from typing import TYPE_CHECKING, Mapping, Sequence, TextIO
 
+from sierra.worker import checkpoints
 from sierra.worker.conductor_report import report_of
 from sierra.worker.containers import PROGRAM, HeldContainer, await_orphans, end_container
 from sierra.worker.devices import Lease, NoDevices, Pool, requests_devices, with_leased, with_own_devices
@@ -331,12 +332,18 @@ class Worker:
 
     def execute(self, job: Job, slot: int) -> None:
         """Execute one run, from making its folder to writing its line in the journal."""
+        with checkpoints.claimed(job) as placed:
+            self.execute_placed(placed, slot)
+
+    def execute_placed(self, job: Job, slot: int) -> None:
+        """Execute one run that has its checkpoint, if it needs one."""
         job = self.observations.with_observation(job)
         folder = self.next_folder()
-        place = prepare(job, folder, self.spare.pop(job.get("used") or 0, None))
+        run_folder = prepare(job, folder, self.spare.pop(job.get("used") or 0, None))
+        job = checkpoints.prepared(job, folder)
         services = self.shared_services(job)
         try:
-            self.execute_prepared(self.with_temporary(job, folder), folder, slot, place, services)
+            self.execute_prepared(self.with_temporary(job, folder), folder, slot, run_folder, services)
         finally:
             self.temporary.remove(folder)
 
@@ -436,6 +443,8 @@ class Worker:
             remains["left_running"] = list(left)
         if after_marker is not None:
             remains["after_marker"] = after_marker
+        if job.get("resumed"):
+            remains["resumed"] = True
         if job.get("own_ports"):
             remains["ports"] = list(job["own_ports"])
         if running.gpu_usage:
@@ -524,7 +533,7 @@ class Worker:
         unobserved.pop("compares", None)
         del unobserved["observe"]
         unobserved["unobserved"] = reason
-        self.execute(unobserved, slot)
+        self.execute_placed(unobserved, slot)
 
     def gpu_usage(self, job: Job) -> GpuUsage | None:
         """Return what measures the use of GPUs by a run; None if it has none, or if NVML or ctypes is not installed here.

@@ -10,7 +10,7 @@ from functools import cached_property
 from pathlib import PurePosixPath
 
 from sierra.config.capture_table import Capture
-from sierra.config.change_tables import OWN_PLACEHOLDERS, PORT_NAMES
+from sierra.config.change_tables import OWN_PLACEHOLDERS, WORKER_NAMES
 from sierra.config.output_tables import FILE_FORMAT, Output
 from sierra.config.project_file import LoadedProject, Project
 from sierra.config.validate import options
@@ -142,7 +142,7 @@ def _rendering(project: LoadedProject, recorded: RunSpec) -> Rendering:
     table, config = _declared(project), project.config
     contained = recorded.image is not None
     produced = config.build.produces if config.build else ()
-    known = (*OWN_PLACEHOLDERS, *PORT_NAMES)
+    known = (*OWN_PLACEHOLDERS, *WORKER_NAMES)
 
     def checked(words: Sequence[str], key: str) -> tuple[str, ...]:
         return commands.checked(

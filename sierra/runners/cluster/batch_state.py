@@ -22,6 +22,8 @@ from sierra.util.text import counted, few, often
 
 PROBE_UNKNOWN = 3
 """Number of consecutive times that the scheduler may not know a preflight job without records, before the job has failed."""
+MOST_CONTINUED = 100
+"""Number of times that a run with a checkpoint may begin, as long as its element's time ends it."""
 TIMED = regex(r"time ?limit|timeout|walltime", re.IGNORECASE)
 """Matches an end reason that means that the element's time was over."""
 ASKED = regex(r"asked to end after (\d+) s$")
@@ -198,7 +200,8 @@ def is_mishap(task: Task) -> bool:
 def _on_lost(batch: BatchState, lost: Mapping[int, Evidence], table: ClusterTable, answer: Answer) -> Decision:
     """Decide about elements that are gone while runs of theirs are missing.
 
-    A run that had all of an element's time fails at once if no element gets more; other runs are tried `attempts` times.
+    A run that had all of an element's time fails at once if no element gets more; other runs are tried `attempts` times. A run
+    that has written to its checkpoint when the time was over has made progress: it continues, at most `MOST_CONTINUED` times.
     """
     shares = batch.shares
     why = {index: _end_reason(shares[index], seen, table) for index, seen in lost.items()}
@@ -212,9 +215,10 @@ def _on_lost(batch: BatchState, lost: Mapping[int, Evidence], table: ClusterTabl
     resubmit = dict(batch.resubmit)
     for index, seen in lost.items():
         share, timed = shares[index], bool(TIMED.search(why[index]))
-        if share.done > share.progress:
+        continued = {run for run in seen.continued if timed and share.begun[run] < MOST_CONTINUED}
+        if share.done > share.progress or continued:
             share.tries = 0
-        cut = seen.by_limit if timed else seen.alone
+        cut = (seen.by_limit if timed else seen.alone) - continued
         attempts = 1 if timed and answer.is_longest and _overdue(seen, table) else table.attempts
         guilty = [execution for execution in _suspects(share, attempts) if execution in cut]
         if guilty:

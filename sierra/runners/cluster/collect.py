@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from sierra.errors import Damaged
 from sierra.model import Result
@@ -31,6 +31,7 @@ from sierra.util.fs import write_whole
 from sierra.util.json_types import RecordValue
 from sierra.util.lazy_definitions import dataclass, field, replace
 from sierra.util.text import counted, often
+from sierra.worker import checkpoints
 from sierra.worker.files import remove
 from sierra.worker.result_log import Attempt, Finished, Requeued, Started, Trouble
 
@@ -92,6 +93,8 @@ class Evidence(NamedTuple):
     """Executions that were cut off while they had the element for themselves."""
     by_limit: AbstractSet[str]
     """Executions that the end of its last attempt cut off, and that had begun with the attempt."""
+    continued: AbstractSet[str] = frozenset()
+    """Executions that wrote to their checkpoints during the last attempt: the next one continues from there."""
 
 
 @dataclass(slots=True)
@@ -364,7 +367,13 @@ class Collector:
             end - last.since if last and end is not None else None,
             {run for track in self._tracks.values() if track.element == index for run in track.begun & track.alone},
             last.begun & last.first if last else set(),
+            self._continued(index, last) if last else set(),
         )
+
+    def _continued(self, index: int, last: Track) -> set[str]:
+        """Return the executions that the end of the last attempt cut off, and that can continue from what they did in it."""
+        cut_off = ((execution, path) for execution, path in checkpoints_of(self._session, index) if execution in last.begun)
+        return {execution for execution, path in cut_off if checkpoints.changed_since(path, last.since)}
 
     def isolate(self, index: int) -> None:
         """Have the suspects of an element, and no other runs, executed one by one when it is submitted again."""
@@ -394,14 +403,24 @@ class Collector:
         self._note(f"{which} of array task {index} failed, cut off {often(times)}: {why}")
 
 
+def checkpoints_of(session: SessionPaths, index: int) -> Iterator[tuple[str, str]]:
+    """Yield the execution and the checkpoint of each job of an element that has one."""
+    return ((job["execution"], job["checkpoint"]) for job in _records(session, index) if "checkpoint" in job)
+
+
 def jobs_of(session: SessionPaths, index: int) -> Iterator[tuple[str, str]]:
-    """Yield execution and run of each job of an element; see `sierra.worker.element_jobs` for the format."""
+    """Yield execution and run of each job of an element."""
+    return ((job["execution"], job["run"]) for job in _records(session, index))
+
+
+def _records(session: SessionPaths, index: int) -> Iterator[dict[str, Any]]:
+    """Yield the record of each job of an element; see `sierra.worker.element_jobs` for the format."""
     with gzip.open(session.jobs(index), "rt", encoding="utf-8") as lines:
         common = json.loads(next(lines))["common"]
         for line in lines:
             job = {**common, **json.loads(line)}
             if "end" not in job:
-                yield job["execution"], job["run"]
+                yield job
 
 
 def failed(run: str, execution: str, node: str, now: float, reason: str, folder: Path) -> Result:

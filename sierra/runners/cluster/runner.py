@@ -117,7 +117,7 @@ class Cluster:
             each = work.times.each if work.times else (1.0,) * work.count
             places = sorted(range(work.count), key=lambda place: -each[place])
             counts = tuple(scheduler.sizes([each[place] for place in places]))
-            deal_sized(work.jobs, places, counts, session)
+            deal_sized((replace(job, checkpoint=None) for job in work.jobs), places, counts, session)
             self._write_programs(work, session)
         table = self._table.model_dump(mode="json")
         mean = work.times.mean if work.times else None

@@ -119,7 +119,7 @@ class _Share:
         if self._common is None:
             self._common = job
             self._templates = defaultdict(_Template, ((name, _Template(content)) for name, content in job.files))
-            self.begin(_line({"common": local.record(replace(job, observe=None))}))
+            self.begin(_line({"common": local.record(replace(job, observe=None, checkpoint=None))}))
         return self.put(_line(_difference(job, self._common, self._templates)))
 
     def begin(self, common: bytes) -> None:
@@ -217,6 +217,8 @@ def _difference(job: Job, common: Job, templates: Mapping[str, _Template]) -> Di
             record["budget"] = job.budget
         if job.affordable is not None:
             record["affordable"] = job.affordable
+    if job.checkpoint is not None:
+        record["checkpoint"] = job.checkpoint
     if job.experiment is not None:
         record["experiment"] = job.experiment
     return record

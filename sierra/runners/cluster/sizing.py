@@ -84,14 +84,18 @@ def size(
 def _check_longest(times: Times | None, table: ClusterTable, bounds: Bounds) -> None:
     """Raise ConfigError if a run takes longer than an array task may: it did so there, or elsewhere and `wall` is not set.
 
-    Nodes may be faster than where a run was timed. Whoever sets `wall` vouches for that.
+    Nodes may be faster than where a run was timed. Whoever sets `wall` vouches for that. Runs with checkpoints may take longer.
     """
     allowed = bounds.wall_s if table.wall is None else table.wall
-    if times is None or allowed is None:
+    if times is None or allowed is None or times.continues:
         return
     limit = f"{allowed:g} s (wall)" if table.wall is not None else f"{allowed:g} s{_whose(bounds, 'wall_s')}"
     if times.there is not None and times.there > allowed:
-        enough = "raise wall" if bounds.wall_s is None or times.there < bounds.wall_s else "use a partition that allows more"
+        enough = (
+            "raise wall"
+            if bounds.wall_s is None or times.there < bounds.wall_s
+            else "use a partition that allows more, or {checkpoint} in the command"
+        )
         raise ConfigError(f"a run took {times.there:.0f} s there before, and an array task may take {limit}: {enough}")
     if table.wall is None and (measured := times.measured) is not None and measured > allowed:
         cure = f"use a partition that allows more, or set wall = {allowed:g} if a run takes less there"

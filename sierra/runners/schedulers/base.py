@@ -224,7 +224,7 @@ class Scheduler(Protocol):
 class Carries(Protocol):
     """A scheduler that itself carries the files of a session to its hosts, and the result logs back.
 
-    Each element is executed with one core. No job checks the nodes first.
+    Each element is executed with one core. No job checks the nodes first. Each execution begins with an empty checkpoint.
     """
 
     def open(self, session: SessionPaths, work: Work | None, *, follows: bool) -> None:

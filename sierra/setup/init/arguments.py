@@ -11,7 +11,7 @@ import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 
-from sierra.config.change_tables import OWN_PLACEHOLDERS, PORT_NAMES, VALUE
+from sierra.config.change_tables import OWN_PLACEHOLDERS, PORT_NAMES, VALUE, WORKER_NAMES
 from sierra.design.query import grammar
 from sierra.errors import QueryError, UsageError
 from sierra.execution.commands import NAMED, SPLICED
@@ -94,7 +94,7 @@ def _after_program(words: Sequence[str]) -> int:
 def placeholders(words: Sequence[str]) -> tuple[str, ...]:
     """Return the names of variables that the words use as `{name}`."""
     found = (name for word in words for _, name in NAMED.findall(word) if name)
-    return tuple(dict.fromkeys(name for name in found if name not in (*OWN_PLACEHOLDERS, *PORT_NAMES)))
+    return tuple(dict.fromkeys(name for name in found if name not in (*OWN_PLACEHOLDERS, *WORKER_NAMES)))
 
 
 def numbers(found: Sequence[Argument]) -> dict[str, str]:

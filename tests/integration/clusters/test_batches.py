@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -444,6 +445,42 @@ def test_a_requeued_array_task_continues_with_its_remaining_runs(gated: Gated) -
     assert rows(gated.project, "SELECT array_task, interrupted_runs FROM attempts WHERE state = 'cut off'") == [
         {"array_task": 0, "interrupted_runs": 1}
     ]
+
+
+KEEPING = """\
+import os, pathlib, sys, time
+
+state = pathlib.Path(sys.argv[2], "state")
+with state.open("a") as file:
+    print(os.environ["SIERRA_EXECUTION"], file=file)
+begun = len(state.read_text().splitlines())
+if begun == 1:
+    time.sleep(600)
+with open("swarm.csv", "w") as file:
+    print("tick,coverage", f"0,{begun}", sep="\\n", file=file)
+"""
+
+
+@pytest.mark.nightly
+def test_a_run_continues_from_its_checkpoint_in_a_requeued_array_task(tmp_path: Path, slurm: Slurm) -> None:
+    config = projects.CONFIG.replace("{input}", "{input} {checkpoint}") + CLUSTER
+    root = projects.make(tmp_path / "project", config, simulator=KEEPING)
+    asking = projects.start(root, "run", "population_size=1", "--runs", "1", "--no-figures", "--on", "slurm")
+    until(lambda: any(root.glob(".sierra/checkpoints/*/files/state")))
+    [task] = [task for task, state in slurm.states().items() if state == "RUNNING"]
+    slurm.requeue(task)
+    slurm.release_requeued()
+    ended(asking)
+    assert rows(sierra.open(root), "SELECT coverage FROM swarm") == [{"coverage": 2}]
+    assert rows(sierra.open(root), "SELECT kind FROM endings") == [{"kind": "resumed"}]
+    assert list((root / ".sierra/checkpoints").iterdir()) == []
+
+
+@pytest.mark.nightly
+def test_sierra_in_an_allocation_uses_its_cores(slurm: Slurm) -> None:
+    code = "from sierra.worker.machine import granted_cores; print(granted_cores())"
+    argv = ("salloc", "--quiet", "--ntasks=1", "--cpus-per-task=1", sys.executable, "-c", code)
+    assert slurm.command(*argv) == "1"
 
 
 @pytest.mark.nightly

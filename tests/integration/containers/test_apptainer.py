@@ -12,6 +12,7 @@ import pytest
 
 from tests import containers
 from tests.integration.containers.test_podman import (
+    CHECKPOINT,
     ENDED,
     ENDS,
     HANGS,
@@ -19,6 +20,7 @@ from tests.integration.containers.test_podman import (
     SOCKETS,
     TOLD,
     check_sockets,
+    continues,
     ends_after_marker,
     isolated,
     rows,
@@ -60,6 +62,11 @@ def test_a_batch_of_podman_is_reused_and_replays_identically_in_apptainer(
     assert "identical" in says(folder, "replay", batch["batch"], "--engine", "apptainer")
     engines = rows(folder, "SELECT DISTINCT engine, network FROM isolations ORDER BY engine")
     assert engines == [{"engine": "apptainer", "network": "none"}, {"engine": "podman", "network": "none"}]
+
+
+@pytest.mark.nightly
+def test_a_run_that_was_cut_off_continues_in_apptainer(tmp_path: Path, python: Path) -> None:
+    continues(containers.make(tmp_path / "a project, with 'blanks' and: colons", python, ENGINE, command=CHECKPOINT))
 
 
 @pytest.mark.parametrize("isolation", ["run", pytest.param("worker", marks=pytest.mark.nightly)])

@@ -148,6 +148,49 @@ def test_each_run_in_a_container_gets_ports_of_its_own(tmp_path: Path, python: P
     assert all(20_000 <= row["value"] != row["other"] >= 20_000 for row in found)
 
 
+KEEPING = """\
+import os, pathlib, signal, sys
+
+state = pathlib.Path(sys.argv[2], "state")
+step = int(state.read_text()) if state.exists() else 0
+state.write_text(str(step + 1))
+pathlib.Path("out.csv").write_text("step\\n%d\\n" % step)
+if not step:
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+"""A simulator that is killed once, and then continues."""
+
+
+def continues(folder: Path) -> None:
+    """Check that a run of KEEPING continues from its checkpoint in a container."""
+    (folder / "sim.py").write_text(KEEPING)
+    run = ("run", "population_size=1", "--runs", "1", "--no-figures")
+    says(folder, *run, code=1)
+    says(folder, *run)
+    assert rows(folder, "SELECT step FROM out") == [{"step": 1}]
+    assert rows(folder, "SELECT count(*) AS n FROM endings WHERE kind = 'resumed'") == [{"n": 1}]
+    assert list((folder / ".sierra/checkpoints").iterdir()) == []
+
+
+CHECKPOINT = "python3 sim.py {input} {checkpoint}"
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("around", [False, True], ids=["alone", "with a command before"])
+def test_a_run_in_a_container_that_was_cut_off_continues(tmp_path: Path, python: Path, *, around: bool) -> None:
+    folder = containers.make(tmp_path / "a project, with 'blanks' and: colons", python, command=CHECKPOINT)
+    if around:
+        config = folder / "sierra.toml"
+        config.write_text('before = [["python3", "-c", "pass"]]\n' + config.read_text())
+    continues(folder)
+
+
+def test_runs_that_share_a_container_have_no_checkpoint(tmp_path: Path, python: Path) -> None:
+    folder = containers.make(tmp_path / "p", python, 'isolation = "worker"', command=CHECKPOINT)
+    (folder / "sim.py").write_text(KEEPING)
+    assert "needs a container for each run" in says(folder, *RUN, code=2)
+
+
 def isolated(isolation: str) -> dict[str, Any]:
     """Return the expected surroundings, except the number of folders with names of the host."""
     return {

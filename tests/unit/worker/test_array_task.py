@@ -34,7 +34,7 @@ from sierra.runners.schedulers.base import NodeVariables
 from sierra.runners.schedulers.pbs import Pbs
 from sierra.store.layout import SessionPaths
 from sierra.util import worker_zip
-from sierra.worker import allocation, element_jobs, machine, result_log
+from sierra.worker import allocation, checkpoints, element_jobs, machine, result_log
 from sierra.worker.processes import cpu_of
 from sierra.worker.result_log import Attempt, Finished, Requeued, Started, Trouble
 from tests.pythons import python_of
@@ -450,6 +450,35 @@ def test_an_array_task_continues_if_the_scheduler_refuses_to_requeue_it(folder: 
     assert folder.run("--wall=2", "0")[0] == 0
     assert [event.refused for event in folder.events(Requeued)] == [None, "not allowed here"]
     assert sorted(folder.ended()) == ["long", "quick"]
+
+
+@pytest.mark.integration
+def test_a_run_continues_from_its_checkpoint_in_the_next_attempt(folder: Folder) -> None:
+    code = 'echo x >> "$0/n"; test $(wc -l < "$0/n") -ge 2 && exit 0; sleep 60'
+    kept = folder.root.with_name("kept") / "run.programs"
+    given = replace(job("run", code), argv=("/bin/sh", "-c", code, checkpoints.TEXT), checkpoint=str(kept))
+    folder.deal([given])
+    cut_off = folder.start()
+    until(lambda: (kept / "files/n").exists())
+    cut_off.send_signal(signal.SIGTERM)
+    cut_off.communicate(timeout=PATIENCE_S)
+    assert not checkpoints.changed_since(str(kept), time.time() + 1)
+    assert checkpoints.changed_since(str(kept), folder.events(Attempt)[0].started - 10)
+    assert folder.run() == (0, "")
+    assert [event.result.resumed for event in folder.events(Ended)] == [True]
+    assert (kept / "files/n").read_text() == "x\n" * 2
+    assert checkpoints.discard(str(kept))
+    assert not kept.exists()
+
+
+@pytest.mark.integration
+def test_an_array_task_whose_run_has_a_new_checkpoint_requeues_itself(folder: Folder) -> None:
+    called = requeues(folder, "kill -TERM $PPID")
+    kept = folder.root.with_name("kept") / "run.programs"
+    code = 'date > "$0/n"; sleep 60'
+    folder.deal([replace(job("run", code), argv=("/bin/sh", "-c", code, checkpoints.TEXT), checkpoint=str(kept))])
+    assert folder.run("--wall=3", "0", PBS_JOBID="7")[0] == 1
+    assert called.read_text().split() == ["again", "7"]
 
 
 @pytest.mark.nightly

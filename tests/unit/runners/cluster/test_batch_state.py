@@ -11,6 +11,7 @@ import pytest
 
 from sierra.config.cluster_table import ClusterTable
 from sierra.runners.cluster.batch_state import (
+    MOST_CONTINUED,
     PROBE_UNKNOWN,
     Action,
     Answer,
@@ -178,6 +179,22 @@ def test_a_run_that_needs_more_time_than_an_element_can_get_is_not_tried_again(
 ) -> None:
     batch, decided = poll(gone(begun=Counter(a=1, b=1)), task, seen=NOTHING._replace(**seen), is_longest=is_longest)
     assert [action.executions for action in decided if isinstance(action, GiveUp)] == ([failed] if failed else [])
+    assert batch.resubmit.keys() == {0}
+
+
+@pytest.mark.parametrize(
+    ("task", "begun", "failed"),
+    [
+        pytest.param(TIMEOUT, 9, [], id="time was over"),
+        pytest.param(TIMEOUT, MOST_CONTINUED, ["a"], id="time was over again and again"),
+        pytest.param(NODE_FAIL, 9, ["a"], id="it may have ended the element"),
+    ],
+)
+def test_a_run_that_has_written_to_its_checkpoint_continues(task: Task, begun: int, failed: list[str]) -> None:
+    seen = NOTHING._replace(**{**WHOLE, "alone": {"a"}, "continued": {"a"}})
+    batch, decided = poll(gone(begun=Counter(a=begun), tries=3), task, seen=seen, is_longest=True)
+    assert [action.executions for action in decided if isinstance(action, GiveUp)] == ([failed] if failed else [])
+    assert batch.shares[0].tries == 0
     assert batch.resubmit.keys() == {0}
 
 

@@ -64,6 +64,7 @@ def test_a_run_that_takes_longer_than_an_array_task_may_is_refused(
         pytest.param(Times((4000.0,), (0,), ""), None, SHORT, id="it is only estimated to be long"),
         pytest.param(Times((4000.0,), (), ""), 3600.0, SHORT, id="it took long elsewhere, and wall is set"),
         pytest.param(Times((4000.0,), (), "", there=3000.0), 3600.0, SHORT, id="it is faster there"),
+        pytest.param(Times((4000.0,), (), "", 4000.0, continues=True), None, SHORT, id="it continues from its checkpoint"),
         pytest.param(Times((4000.0,), (), ""), None, Bounds(), id="the site has no limit"),
         pytest.param(None, None, SHORT, id="nothing is known"),
     ],

@@ -1,0 +1,218 @@
+"""`{checkpoint}`: a folder of the run that survives if it is cut off, and that its next execution gets."""
+
+from __future__ import annotations
+
+import json
+import signal
+from pathlib import Path
+
+import pytest
+
+from sierra.worker import checkpoints
+from tests.projects import quick, sql, start
+from tests.waiting import until
+
+SIMULATOR = """\
+import json, os, pathlib, signal, sys, time
+
+given = json.loads(pathlib.Path(sys.argv[1]).read_text())
+folder = pathlib.Path(sys.argv[2])
+assert folder.is_dir() and given["folder"] == os.environ["KEPT"] == sys.argv[2]
+state = folder / "state"
+step = int(state.read_text()) if state.exists() else 0
+state.write_text(str(step + 1))
+print("step\\n%d" % step, file=open("out.csv", "w"))
+ends = json.loads(os.environ["ENDS"])
+end = ends[min(step, len(ends) - 1)]
+if end == "hang":
+    time.sleep(60)
+if end == "kill":
+    os.kill(os.getpid(), signal.SIGKILL)
+if end == "crash":
+    os.kill(os.getpid(), signal.SIGSEGV)
+sys.exit(end)
+"""
+CONFIG = """\
+template = "in.json"
+command = "python3 sim.py {input} {checkpoint}"
+seed = "/seed"
+changes = [{ set = "/folder", value = "{checkpoint}" }]
+[environment]
+set = { KEPT = "{checkpoint}", ENDS = '%s' }
+[limits]
+wall = %s
+[variables]
+population_size = "/count"
+"""
+ONE = ("population_size=1", "--runs", "1")
+
+
+def make(folder: Path, *ends: int | str, wall: float = 30, config: str = CONFIG) -> Path:
+    """Write a project whose run ends in these ways, one after the other, as far as its checkpoint survives."""
+    folder.mkdir(parents=True)
+    (folder / "sim.py").write_text(SIMULATOR)
+    (folder / "in.json").write_text('{"count": 1, "seed": 0, "folder": ""}')
+    (folder / "sierra.toml").write_text(config % (json.dumps(ends), wall))
+    return folder
+
+
+def steps(root: Path) -> list[int]:
+    return [row["step"] for row in sql(root, "SELECT step FROM out")]
+
+
+def kept(root: Path) -> list[str]:
+    return [path.name for path in (root / ".sierra").glob("checkpoints/*")]
+
+
+def resumed(root: Path) -> list[str]:
+    """Return the statuses of the executions that continued from a checkpoint."""
+    query = "SELECT e.status FROM endings JOIN executions e USING (execution) WHERE kind = 'resumed' ORDER BY e.lamport"
+    return [row["status"] for row in sql(root, query)]
+
+
+def tried(root: Path) -> str:
+    done = quick(root, "run", *ONE, "--no-figures", "--json")
+    [row] = sql(root, "SELECT status FROM executions ORDER BY lamport DESC LIMIT 1")
+    assert done.returncode == (row["status"] != "ok"), done.stderr
+    return str(row["status"])
+
+
+@pytest.mark.integration
+def test_a_run_that_was_cut_off_continues_and_says_so(tmp_path: Path) -> None:
+    root = make(tmp_path / "p", "hang", "kill", 0, wall=1)
+    assert (tried(root), resumed(root)) == ("timeout", [])
+    [folder] = kept(root)
+    assert tried(root) == "failed"  # by a signal from outside
+    assert kept(root) == [folder]
+    assert (tried(root), kept(root)) == ("ok", [])
+    assert resumed(root) == ["failed", "ok"]
+    [batch] = sql(root, "SELECT batch FROM batches")
+    assert "1 of 1 run continued from the checkpoint" in quick(root, "show", batch["batch"]).stdout
+    used = "SELECT path FROM files_read UNION SELECT path FROM files_written"
+    assert not [row for row in sql(root, used) if "state" in row["path"] or "checkpoint" in row["path"]]
+    assert steps(root) == [2]
+    [row] = sql(root, "SELECT DISTINCT run FROM executions")
+    assert folder.startswith(row["run"])
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize("fault", [3, pytest.param("crash", marks=pytest.mark.each_case)])
+def test_a_checkpoint_from_which_a_run_fails_is_not_used_again(tmp_path: Path, fault: int | str) -> None:
+    root = make(tmp_path / "p", fault, fault, 0)
+    assert tried(root) == "failed"
+    assert len(kept(root)) == 1
+    assert (tried(root), kept(root)) == ("failed", [])  # it had continued
+    assert tried(root) == "failed"
+    assert resumed(root) == ["failed"]
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_a_run_continues_after_its_session_was_ended(tmp_path: Path, number: int) -> None:
+    root = make(tmp_path / "p", "hang", 0)
+    running = start(root, "run", *ONE, "--no-figures")
+    until(lambda: list(root.glob(".sierra/checkpoints/*/files/state")))
+    running.send_signal(number)
+    running.wait()
+    running.communicate()
+    assert (tried(root), resumed(root), steps(root)) == ("ok", ["ok"], [1])
+    assert kept(root) == []
+
+
+@pytest.mark.integration
+def test_the_checkpoint_is_in_no_id_and_a_replay_begins_anew(tmp_path: Path) -> None:
+    root = make(tmp_path / "p", "hang", 0, 0, wall=1)
+    assert tried(root) == "timeout"
+    assert tried(root) == "ok"
+    (root / "sierra.toml").write_text(CONFIG % ('["hang", 0, 0]', 1))
+    [batch] = sql(root, "SELECT batch FROM batches")
+    replayed = quick(root, "replay", batch["batch"])
+    assert replayed.returncode == 1, replayed.stdout  # it hangs again, because it begins anew
+    assert "ran longer than its limit" in replayed.stdout
+    assert kept(root) == []
+    other = make(tmp_path / "elsewhere" / "q", "hang", 0, 0, wall=1)
+    run_there = quick(other, "run", *ONE, "--dry-run", "--json")
+    assert batch["batch"] in run_there.stdout
+
+
+@pytest.mark.integration
+def test_a_run_that_executes_twice_at_once_shares_no_checkpoint(tmp_path: Path) -> None:
+    root = make(tmp_path / "p", "hang", 0)
+    first = start(root, "run", *ONE, "--no-figures")
+    until(lambda: list(root.glob(".sierra/checkpoints/*/files/state")))
+    [folder] = (root / ".sierra/checkpoints").iterdir()
+    assert not checkpoints.discard(str(folder))
+    again = {"run": "r", "execution": "e", "argv": ["a", checkpoints.TEXT], "environment": {}, "files": {}, "limits": {}}
+    with checkpoints.claimed({**again, "checkpoint": str(folder)}) as job:  # type: ignore[typeddict-item]
+        assert "claim" not in job
+        own = tmp_path / "run"
+        (own / "home").mkdir(parents=True)
+        assert checkpoints.prepared(job, str(own))["resumed"] is False
+        assert (own / "home/.sierra-checkpoint").is_dir()
+    first.send_signal(signal.SIGINT)
+    first.wait()
+    first.communicate()
+
+
+@pytest.mark.integration
+def test_a_checkpoint_of_code_that_changed_meanwhile_is_not_used(tmp_path: Path) -> None:
+    root = make(tmp_path / "p", "hang", 0)
+    code = (root / "sim.py").read_text()
+    running = start(root, "run", *ONE, "--no-figures")
+    until(lambda: list(root.glob(".sierra/checkpoints/*/files/state")))
+    (root / "sim.py").write_text(code + "\n# changed\n")
+    running.send_signal(signal.SIGINT)
+    running.wait()
+    running.communicate()
+    assert kept(root) == []
+
+
+@pytest.mark.integration
+def test_gc_removes_checkpoints_and_fsck_names_what_is_none(tmp_path: Path) -> None:
+    root = make(tmp_path / "p", "hang", 0, wall=1)
+    assert tried(root) == "timeout"
+    (root / ".sierra/checkpoints/mine").mkdir()
+    checked = quick(root, "fsck")
+    assert "checkpoints/mine" in checked.stdout
+    assert "is not a run's checkpoint" in checked.stdout
+    assert "1 checkpoint of runs that were cut off" in quick(root, "gc", "--dry-run").stdout
+    assert quick(root, "gc", "--yes").returncode == 0
+    assert kept(root) == ["mine"]
+
+
+def test_a_folder_that_sierra_has_not_made_is_not_removed(tmp_path: Path) -> None:
+    folder = tmp_path / "mine"
+    (folder / "files").mkdir(parents=True)
+    assert not checkpoints.discard(str(folder))
+    (folder / "mark").write_text("other\n")
+    assert not checkpoints.discard(str(folder))
+    assert (folder / "files").is_dir()
+    link = tmp_path / "link"
+    link.symlink_to(folder)
+    (folder / "mark").write_text("link\n")
+    assert not checkpoints.discard(str(link))
+
+
+def test_inputs_name_the_placeholder(tmp_path: Path) -> None:
+    root = make(tmp_path / "p", 0)
+    assert quick(root, "inputs", *ONE, "--to", "in").returncode == 0
+    [inputs] = (root / "in").rglob("input.json")
+    assert '"folder": "{checkpoint}"' in inputs.read_text()
+    command = json.loads((inputs.parent / "command.json").read_text())
+    assert command["argv"][-1] == command["environment"]["KEPT"] == "{checkpoint}"
+
+
+def test_a_variable_of_that_name_keeps_its_meaning(tmp_path: Path) -> None:
+    config = CONFIG.replace("[variables]", "[variables]\ncheckpoint = {}")
+    root = make(tmp_path / "p", 0, config=config)
+    assert quick(root, "inputs", "checkpoint=7", "--runs", "1", "--to", "in").returncode == 0
+    [path] = (root / "in").rglob("command.json")
+    assert json.loads(path.read_text())["argv"][-1] == "7"
+
+
+def test_robots_have_no_checkpoint(tmp_path: Path) -> None:
+    config = CONFIG + "[robots]\ncount = 2\n"
+    root = make(tmp_path / "p", 0, config=config)
+    done = quick(root, "run", *ONE, "--dry-run")
+    assert done.returncode == 2
+    assert "runs on robots have no checkpoint" in done.stderr
