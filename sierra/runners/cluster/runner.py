@@ -115,9 +115,9 @@ class Cluster:
             self._opened.callback(scheduler.close)
             scheduler.open(session, work, follows=True)
             each = work.times.each if work.times else (1.0,) * work.count
-            places = sorted(range(work.count), key=lambda place: -each[place])
-            counts = tuple(scheduler.sizes([each[place] for place in places]))
-            deal_sized((replace(job, checkpoint=None) for job in work.jobs), places, counts, session)
+            order = sorted(range(work.count), key=lambda number: -each[number])
+            counts = tuple(scheduler.sizes([each[number] for number in order]))
+            deal_sized((replace(job, checkpoint=None) for job in work.jobs), order, counts, session)
             self._write_programs(work, session)
         table = self._table.model_dump(mode="json")
         mean = work.times.mean if work.times else None
