@@ -85,12 +85,13 @@ class Lab:
     )
     requeue = ()
     forgets = False
+    _tasks: Tasks
+    """The tasks of the session, once it is open."""
 
     def __init__(self, table: ClusterTable) -> None:
         assert isinstance(table, LabTable)  # noqa: S101 - it is of `Options`
         self._table = table
         self._hosts: dict[str, LabHost] = {}
-        self._tasks: Tasks | None = None
         self._notes: list[str] = []
         self._changed = threading.Condition(threading.RLock())
         self._withdrawing: set[str] = set()
@@ -146,11 +147,10 @@ class Lab:
 
     def _connect(self, host: Host, *, leaves: bool = False) -> None:
         """Begin to connect to a host, unless this was done."""
-        assert self._tasks is not None  # noqa: S101 - the session is open
         if host.name in self._hosts:
             self._hosts[host.name].leaves = leaves
             return
-        name, links, contents = self._session.root.name, self._tasks.links, self._tasks.contents
+        name, links, contents = self._tasks.folder, self._tasks.links, self._tasks.contents
         connection = HostConnection(host, self._table, links, name, contents, self._tasks.gpus, self._have, self._handle)
         self._hosts[host.name] = LabHost(connection, leaves=leaves)
         connection.start()
@@ -160,7 +160,9 @@ class Lab:
         began = time.monotonic()
         with self._changed:
             while not self._closed:
-                undecided = [host for host in self._hosts.values() if not (host.is_ready or host.unusable or host.lost)]
+                undecided = [
+                    host for host in self._hosts.values() if not (host.connection.connected or host.unusable or host.lost)
+                ]
                 is_ready = any(host.is_ready for host in self._hosts.values())
                 if not undecided or time.monotonic() - began > (FIRST_S if is_ready else BEGIN_S):
                     break
@@ -173,7 +175,6 @@ class Lab:
 
     def submit(self, request: Request) -> str:
         with self._changed:
-            assert self._tasks is not None  # noqa: S101 - the session is open
             self._check_containers(request.elements)
             job = self._tasks.submit(request.elements)
             self._tasks.save()
@@ -182,7 +183,6 @@ class Lab:
 
     def _check_containers(self, elements: Sequence[int]) -> None:
         """Raise ConfigError if runs are in containers whose image is in the storage of an engine."""
-        assert self._tasks is not None  # noqa: S101 - the session is open
         common = carried_files.common_job(self._session, elements[0])
         if "client" in common and "images" not in self._tasks.contents.values():
             raise ConfigError("a lab executes containers whose image is a file; use --engine apptainer")
@@ -190,7 +190,6 @@ class Lab:
     def look(self, name: str) -> tuple[Task, ...]:
         with self._changed:
             tasks = self._tasks if self._follows else Tasks.load(self._session)
-            assert tasks is not None  # noqa: S101 - the session is open
             never = self._never() if self._follows else ""
             return tuple(self._reported(task, never) for task in tasks.all)
 
@@ -214,7 +213,6 @@ class Lab:
             self._session.cancelled.touch()
             return
         with self._changed:
-            assert self._tasks is not None  # noqa: S101 - the session is open
             for task in self._tasks.alive():
                 if elements is None or task.element in elements:
                     self._end(task)
@@ -247,7 +245,6 @@ class Lab:
 
     def leave(self) -> None:
         with self._changed:
-            assert self._tasks is not None  # noqa: S101 - the session is open
             self._tasks.without_end = True
             self._tell_all("lease", seconds=None)
             self._dispatch()
@@ -256,7 +253,6 @@ class Lab:
                 self._changed.wait(0.2)
 
     def _sent(self) -> list[LabTask]:
-        assert self._tasks is not None  # noqa: S101 - the session is open
         return [task for task in self._tasks.alive() if task.host in self._hosts]
 
     def _seen(self, task: LabTask) -> set[str]:
@@ -265,9 +261,9 @@ class Lab:
     def close(self) -> None:
         """End the connections; if everything has ended, the hosts forget the session first."""
         with self._changed:
-            if self._closed:
+            if self._closed or not self._follows:
                 return
-            if self._tasks is not None and self._tasks.all and not self._tasks.alive():
+            if self._tasks.all and not self._tasks.alive():
                 self._tell_all("remove")
                 give_up = time.monotonic() + REMOVE_S
                 while time.monotonic() < give_up and any(
@@ -319,7 +315,6 @@ class Lab:
             self._changed.notify_all()
 
     def _check_log(self, event: Record) -> None:
-        assert self._tasks is not None  # noqa: S101 - the session is open
         index = carried_files.index_of(event)
         if all(task.element != index for task in self._tasks.all):
             raise Damaged(f"a host sends results of array task {index}, which the session does not have")
@@ -331,13 +326,14 @@ class Lab:
 
     def _on_state(self, host: LabHost, event: Record) -> None:
         """Take in the state of the tasks on a host; what it does not know of a lost connection is sent again."""
-        assert self._tasks is not None  # noqa: S101 - the session is open
         queued, running, ended = event["queued"], event["running"], event["ended"]
         name, has_changed = host.connection.name, False
         for task in list(self._tasks.on(name)):
             if task.entry in ended:
                 self._on_end(host, task, *ended[task.entry])
             elif task.entry in running:
+                if task.ours:
+                    host.connection.send("end", entry=task.entry)
                 has_changed = has_changed or task.stage is not Stage.RUNNING
                 task.stage = Stage.RUNNING
             elif task.entry in host.seen and task.entry not in queued:
@@ -358,7 +354,6 @@ class Lab:
 
     def _on_end(self, host: LabHost, task: LabTask, status: int | None, reason: str, line: str) -> None:
         """Take in that a task has ended. If its host could not execute it, another one does."""
-        assert self._tasks is not None  # noqa: S101 - the session is open
         job, name = task.job, host.connection.name
         if line:
             (self._session.logs / f"{job}_{task.element}.out").write_text(f"{line}\n", "utf-8")
@@ -371,7 +366,6 @@ class Lab:
         self._tasks.save()
 
     def _on_withdrawal(self, host: LabHost, entry: str) -> None:
-        assert self._tasks is not None  # noqa: S101 - the session is open
         self._withdrawing.discard(entry)
         host.seen.discard(entry)
         task = self._tasks.entry(entry)
@@ -393,7 +387,6 @@ class Lab:
 
     def _give_up(self, host: LabHost) -> None:
         """Let the tasks of a host be submitted again when its lease is over."""
-        assert self._tasks is not None  # noqa: S101 - the session is open
         silent = host_folder.now() - host.connection.heard
         tasks = list(self._tasks.on(host.connection.name))
         if host.connection.connected or not tasks or silent < self._table.lease + MARGIN_S:
@@ -405,7 +398,6 @@ class Lab:
 
     def _put_aside(self, host: LabHost, reason: str) -> None:
         """Send no more tasks to a host, and take back what it has not begun. Its results are still fetched."""
-        assert self._tasks is not None  # noqa: S101 - the session is open
         if host.unusable:
             return
         host.unusable = reason
@@ -413,7 +405,6 @@ class Lab:
         self._withdraw_all(host)
 
     def _withdraw_all(self, host: LabHost) -> None:
-        assert self._tasks is not None  # noqa: S101 - the session is open
         for task in self._tasks.on(host.connection.name):
             if task.stage is Stage.SENT:
                 host.connection.send("withdraw", entry=task.entry)
@@ -422,7 +413,6 @@ class Lab:
 
     def _dispatch(self) -> None:
         """Send waiting tasks to hosts that have room. Raises Missing if the disk is full."""
-        assert self._tasks is not None  # noqa: S101 - the session is open
         if self._session.cancelled.exists():
             return
         slots = {name: host.slots for name, host in self._hosts.items() if host.is_ready and not host.resends}
@@ -457,7 +447,6 @@ class Lab:
 
     def _paths(self, connection: HostConnection) -> Paths:
         """Return the paths on a host of what jobs name."""
-        assert self._tasks is not None  # noqa: S101 - the session is open
         folder, session = connection.folder, self._session
         paths = {str(session.root.parent.parent): str(Path(folder).parents[2]), str(session.root): folder}
         return Paths(paths | connection.places)

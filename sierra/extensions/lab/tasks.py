@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import secrets
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import asdict
@@ -16,7 +17,7 @@ from sierra.util.json_types import JsonView
 from sierra.util.lazy_definitions import dataclass, field
 
 Links = Mapping[str, Mapping[str, JsonView]]
-OWN = ("number", "without_end", "contents", "gpus", "links")
+OWN = ("number", "without_end", "folder", "contents", "gpus", "links")
 """The fields of `Tasks` beside its tasks."""
 AHEAD = 1
 """The number of tasks that a host has in addition to those that it executes, so that no slot waits for this machine."""
@@ -59,6 +60,8 @@ class Tasks:
     """The number of the last entry."""
     without_end: bool = False
     """True if hosts go on without this machine."""
+    folder: str = ""
+    """The name of the folder of this submission on hosts. A session may submit several times."""
     contents: Mapping[str, str] = field(default_factory=dict)
     """The files and folders of this machine that jobs name, each with the kind of its content."""
     gpus: float | None = None
@@ -74,7 +77,7 @@ class Tasks:
             tasks = [LabTask(**{**task, "stage": Stage(task["stage"])}) for task in record["tasks"]]
             return cls(session, tasks, **{name: record[name] for name in OWN})
         except FileNotFoundError:
-            return cls(session)
+            return cls(session, folder=f"{session.root.name}-{secrets.token_hex(4)}")
         except (OSError, ValueError, TypeError, LookupError) as error:
             raise Damaged(f"{session.carried}: cannot be read: {error}") from error
 

@@ -1,7 +1,7 @@
 """The folder of a session on a host, and the tasks in it.
 
     ROOT/slots/NODE/K               the lock of slot K of this computer, which all drivers of this user share
-    ROOT/sessions/SESSION/HOST/     the folder of the session for the host of this name: computers may share their home folders
+    ROOT/sessions/SESSION/HOST/     the folder of a submission for the host of this name: computers may share their home folders
         element.json, elements/, results/, cancelled        as array tasks expect them: see `sierra.worker.array_task`
         worker.pyz, engine/         the programs and files that containers need
         logs/ENTRY.out              the output of a task
