@@ -126,6 +126,7 @@ class Lab:
         self._logs = ResultLogs(session)
         if work is not None:
             tasks.contents, tasks.links, tasks.gpus = self._contents(work), cast(Links, work.links), work.gpus
+            tasks.save()
         tasks.without_end = False
         listed = self._table.listed()
         with self._changed:
