@@ -31,7 +31,7 @@ def with_end(**changes: Any) -> dict[str, Any]:
 def test_everything_is_known_that_robots_report_of_themselves_and_of_ends():
     assert agent_messages.Facts.model_fields.keys() == machine.facts().keys()
     assert agent_messages.OutputFile.model_fields.keys() == OutputFile.__annotations__.keys()
-    without_robots = {"event", "elsewhere", "spare", "gpus", "gpu_limit", "gpu_s", "gpu_memory_bytes"}
+    without_robots = {"event", "elsewhere", "spare", "resumed", "gpus", "gpu_limit", "gpu_s", "gpu_memory_bytes"}
     assert agent_messages.End.model_fields.keys() == End.__annotations__.keys() - without_robots
 
 

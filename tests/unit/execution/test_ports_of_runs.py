@@ -76,7 +76,7 @@ def test_an_unknown_port_is_an_error(tmp_path: Path, name: str) -> None:
     done = quick(root, "run", "population_size=1", "--dry-run")
     assert done.returncode == 2
     assert f"command: unknown placeholder {{{name}}}" in done.stderr
-    assert "{arguments}, {port}, {population_size}; write" in done.stderr
+    assert "{arguments}, {port}, {checkpoint}, {population_size}; write" in done.stderr
 
 
 def test_a_template_with_the_mark_of_a_port_is_refused(tmp_path: Path) -> None:
