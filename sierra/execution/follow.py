@@ -185,9 +185,11 @@ class _Follower:
             if not self._runner.stays:
                 self._give_up()
             elif self._submitted and not self._over:
-                with contextlib.suppress(SierraError, OSError):
-                    self._runner.leave()
-                self._session.leave()
+                try:
+                    with contextlib.suppress(SierraError, OSError):
+                        self._runner.leave()
+                finally:  # otherwise the session would be removed
+                    self._session.leave()
             raise
         finally:
             self._runner.close()

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import os
+import secrets
 import tempfile
 from pathlib import Path
 
 from sierra.errors import Missing
-from sierra.runners.links.base import Link, Unreachable
+from sierra.runners.links.base import Link, Overdue, Unreachable
 from sierra.util import worker_zip
 from sierra.worker import program
 
@@ -32,6 +33,16 @@ def content_name(folder: Path) -> str:
     return content.hexdigest()[:LENGTH]
 
 
+def _push(link: Link, folder: Path, target: str) -> None:
+    """Copy a folder, once more if somebody else has copied it at the same time. Raises Missing, Unreachable."""
+    try:
+        link.push(folder, target)
+    except (Unreachable, Overdue):
+        raise
+    except Missing:
+        link.push(folder, target)
+
+
 def push_content(link: Link, folder: Path, root: str, kind: str, name: str | None = None) -> str:
     """Copy a folder, or one with only a file, to `root`/`kind`/NAME on a host, unless it is there; return that path.
 
@@ -40,13 +51,14 @@ def push_content(link: Link, folder: Path, root: str, kind: str, name: str | Non
     """
     target = f"{root}/{kind}/{name or content_name(folder)}"
     try:
-        link.push(folder, target)
-    except Unreachable:
+        _push(link, folder, target)
+    except (Unreachable, Overdue):
         raise
     except Missing:
         if link.run(("test", "-d", target)).status != 0:
             raise
-        link.run(("sh", "-c", 'chmod -R u+w "$1" && rm -rf "$1"', "sh", target))
+        # runs may still use it
+        link.run(("sh", "-c", 'chmod u+w "$1" && mv "$1" "$2"', "sh", target, f"{target}.changed-{secrets.token_hex(4)}"))
         link.push(folder, target)
     link.run(("chmod", "-R", "a-w", target))
     return target

@@ -9,13 +9,14 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from sierra.config.plugin_registry import LINKS
 from sierra.errors import Missing, SierraError
 from sierra.extensions.hosts.clock import Clock, measured
-from sierra.extensions.hosts.push import push_content, push_programs
+from sierra.extensions.hosts.push import content_name, push_content, push_programs
 from sierra.extensions.lab import agent
 from sierra.extensions.lab.agent import front, host_folder
 from sierra.extensions.lab.agent.host_folder import Record
@@ -52,12 +53,14 @@ class HostConnection:
         session: str,
         contents: Mapping[str, str],
         gpus: float | None,
+        lease: Callable[[], float | None],
         have: Callable[[], Mapping[str, int]],
         handle: Callable[[HostConnection, Record, bytes], None],
     ) -> None:
         """`session` names the folder of the session there. `contents` are what is copied there: kinds by paths.
 
-        `gpus` is the number of GPUs that a run requests, or its share of one; None: it requests none.
+        `gpus` is the number of GPUs that a run requests, or its share of one; None: it requests none. `lease` returns the
+        seconds for which the host goes on without a connection; None: without end.
 
         `have` returns the bytes of each result log that this machine has. `handle` is called by this thread, for the events of
         the host and for those of the connection: `connected` and `lost`, with the reason.
@@ -75,7 +78,7 @@ class HostConnection:
         """When something came from the host, in seconds since boot, in which a suspended computer also counts."""
         self.connected = False
         self._table, self._session, self._contents = table, session, contents
-        self._have, self._handle, self._gpus = have, handle, gpus
+        self._have, self._handle, self._gpus, self._lease = have, handle, gpus, lease
         kind = table.link
         self._link = LINKS.make(kind, {kind: {**links.get(kind, {}), **table.link_options}}, host.name)
         if not isinstance(self._link, Commands):
@@ -98,7 +101,7 @@ class HostConnection:
             except (UntrustedHost, Unusable) as error:
                 self._lost(str(error), again=False)
                 return
-            except SierraError as error:
+            except (SierraError, OSError) as error:
                 pause = AGAIN_S if self.connected else min(LATER_S, 2 * pause)
                 self._lost(str(error), again=True)
             self._closing.wait(pause)
@@ -128,10 +131,11 @@ class HostConnection:
         argv = (self._table.python, "-I", "-S", "-B", f"{programs}/{program.NAME}", FRONT, self.folder)
         self._exchange = exchange = self._link.stream(argv)
         try:
-            slots, lease = self.host.slots, self._table.lease
+            slots, lease = self.host.slots, self._lease()
             exchange.send(_line("hello", slots=slots, lease=lease, gpus=self._gpus, have=self._have()), LOST_S)
             while (hello := self._next(exchange)[0])["event"] != "hello":
-                """The first sign of life may come before the answer."""
+                if hello["event"] == "trouble":
+                    raise Missing(f"{self.name}: {hello['reason']}")
             self.slots = int(hello["slots"])
             if self.slots < 1:
                 raise Unusable(
@@ -162,11 +166,20 @@ class HostConnection:
         programs = push_programs(link, root, Path(agent.__file__).parent)
         home = link.run(("pwd",)).stdout.decode(errors="replace").rstrip("\n")
         for path, kind in self._contents.items():
-            copied = posixpath.join(home, push_content(link, Path(path), root, kind))
+            if path in self.places and link.run(("test", "-e", self.places[path])).status == 0:
+                continue  # this process has copied it, and no program can change it
+            self._check_open()
+            copied = posixpath.join(home, push_content(link, Path(path), root, kind, named(path)))
             self.places[path] = posixpath.join(copied, Path(path).name) if Path(path).is_file() else copied
+        self._check_open()
         own = "".join(character if character.isalnum() or character in "_.@-" else "_" for character in self.name)
         self.folder = posixpath.join(home, root, "sessions", self._session, own)
         return programs
+
+    def _check_open(self) -> None:
+        """Raise Unreachable if the connection is not wanted any more: a command would connect again."""
+        if self._closing.is_set():
+            raise Unreachable(f"{self.name}: the connection was closed")
 
     def _ask_clock(self, exchange: Exchange, early: list[tuple[Record, bytes]]) -> int:
         """Return the host's clock in ns; other events that come meanwhile are kept."""
@@ -227,6 +240,12 @@ class HostConnection:
             log.debug("%s: %s", self.name, error)
             with contextlib.suppress(OSError, EOFError, SierraError):
                 exchange.close()
+
+
+@cache
+def named(path: str) -> str:
+    """Return the name of the content of a file or folder that does not change any more. Large ones take long to read."""
+    return content_name(Path(path))
 
 
 def _line(do: str, **fields: Any) -> bytes:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from textwrap import shorten
 from typing import Any, ClassVar, cast
@@ -21,6 +21,7 @@ from sierra.errors import ConfigError, Damaged, Missing, SierraError
 from sierra.extensions.lab import carried_files
 from sierra.extensions.lab.agent import host_folder
 from sierra.extensions.lab.agent.host_folder import Record
+from sierra.extensions.lab.agent.keeper import LEASE_OVER, REBOOTED
 from sierra.extensions.lab.carried_files import Paths, ResultLogs
 from sierra.extensions.lab.host_connection import HostConnection
 from sierra.extensions.lab.lab_table import Host, LabTable, sizes
@@ -28,9 +29,10 @@ from sierra.extensions.lab.tasks import LabTask, Links, Stage, Tasks, deal, to_w
 from sierra.runners.base import Work
 from sierra.runners.schedulers.base import Bounds, NodeVariables, Request, State, Task
 from sierra.store.layout import SessionPaths
+from sierra.store.segments import disk_errors
 from sierra.util.lazy_definitions import dataclass, field
 from sierra.util.lazy_logger import Log
-from sierra.util.text import few
+from sierra.util.text import counted, few
 
 log = Log(__name__)
 TICK_S = 1.0
@@ -43,6 +45,7 @@ BEGIN_S = 60.0
 FIRST_S = 8.0
 """The seconds after which hosts that are not ready are waited for no longer, if one is."""
 REMOVE_S = 3.0
+BLAMELESS = (LEASE_OVER, REBOOTED)
 TROUBLE = 3
 """The exit status of a task that could not execute runs on its host."""
 STATES = {Stage.WAITING: State.QUEUED, Stage.SENT: State.QUEUED, Stage.RUNNING: State.RUNNING, Stage.ENDED: State.ENDED}
@@ -96,7 +99,7 @@ class Lab:
         self._changed = threading.Condition(threading.RLock())
         self._withdrawing: set[str] = set()
         self._listed: object = None
-        self._follows = self._closed = False
+        self._follows = self._closed = self._has_changed = False
 
     @staticmethod
     def refuses(line: str) -> str | None:
@@ -117,17 +120,17 @@ class Lab:
         return words
 
     def open(self, session: SessionPaths, work: Work | None, *, follows: bool) -> None:
-        self._session, self._follows = session, follows
+        self._session = session
         if work is not None:
             session.carried.unlink(missing_ok=True)
         self._tasks = tasks = Tasks.load(session)
         if not follows:
             return
+        self._follows = True
         self._logs = ResultLogs(session)
         if work is not None:
             tasks.contents, tasks.links, tasks.gpus = self._contents(work), cast(Links, work.links), work.gpus
             tasks.save()
-        tasks.without_end = False
         listed = self._table.listed()
         with self._changed:
             for host in (*listed.values(), *(Host(task.host, None) for task in tasks.alive() if task.host)):
@@ -135,7 +138,7 @@ class Lab:
         threading.Thread(target=self._tick, daemon=True).start()
         self._wait_for_hosts()
         if work is not None and not any(host.is_ready for host in self._hosts.values()):
-            self.close()
+            self.close(over=False)
             why = {name: host.unusable or host.lost or "does not answer" for name, host in self._hosts.items()}
             raise Missing(f"no host of the lab can be used: {few([f'{name}: {reason}' for name, reason in why.items()], 3)}")
 
@@ -151,10 +154,16 @@ class Lab:
         if host.name in self._hosts:
             self._hosts[host.name].leaves = leaves
             return
-        name, links, contents = self._tasks.folder, self._tasks.links, self._tasks.contents
-        connection = HostConnection(host, self._table, links, name, contents, self._tasks.gpus, self._have, self._handle)
+        tasks, name = self._tasks, f"{self._session.root.name}-{self._tasks.token}"
+        connection = HostConnection(
+            host, self._table, tasks.links, name, tasks.contents, tasks.gpus, self._lease, self._have, self._handle
+        )
         self._hosts[host.name] = LabHost(connection, leaves=leaves)
         connection.start()
+
+    def _lease(self) -> float | None:
+        """Return the seconds for which hosts go on without this machine; None: without end."""
+        return None if self._tasks.without_end else self._table.lease
 
     def _wait_for_hosts(self) -> None:
         """Wait until hosts are ready, or cannot be reached."""
@@ -199,7 +208,11 @@ class Lab:
         cancelled = task.ours if task.stage is Stage.ENDED else None
         waits = {Stage.WAITING: "no host is free", Stage.SENT: "its host is busy"}.get(task.stage, "")
         reason = never if state is State.STUCK else task.reason or waits
-        return Task(task.job, task.element, state, reason, task.host, cancelled)
+        return Task(task.job, task.element, state, reason, task.host, cancelled, task.blameless)
+
+    def blameless(self) -> Collection[str]:
+        with self._changed:
+            return {task.name for task in self._tasks.all if task.blameless}
 
     def _never(self) -> str:
         """Return why no host will ever execute what waits; empty if one may."""
@@ -220,17 +233,18 @@ class Lab:
             if elements is None:
                 self._tell_all("cancel")
             self._tasks.save()
-            left = [task.host for task in self._tasks.alive() if task.ours and not self._hosts[task.host].connection.connected]
-            if left:
-                raise Missing(f"{few(sorted(set(left)), 3)} cannot be reached")
 
     def _end(self, task: LabTask) -> None:
         """Let a task end because this project does not need it any more."""
         task.ours = True
         host = self._hosts.get(task.host)
         if task.stage is Stage.WAITING or host is None:
-            task.stage, task.reason = Stage.ENDED, "cancelled"
-        elif host.connection.connected:
+            task.end("cancelled")
+        elif not host.connection.connected:
+            when = "to the end" if self._tasks.without_end else "until its lease is over"
+            self._note(f"{task.host} cannot be reached: it executes what it has {when}, and nobody fetches the results")
+            task.end("cancelled")
+        else:
             host.connection.send("withdraw", entry=task.entry)
             host.connection.send("end", entry=task.entry)
 
@@ -245,25 +259,35 @@ class Lab:
             return notes
 
     def leave(self) -> None:
+        if not self._follows or self._closed:
+            return
         with self._changed:
             self._tasks.without_end = True
             self._tell_all("lease", seconds=None)
             self._dispatch()
+            self._tasks.save()
             give_up = time.monotonic() + FIRST_S
-            while time.monotonic() < give_up and any(task.entry not in self._seen(task) for task in self._sent()):
+            left = self._not_there()
+            while left and time.monotonic() < give_up:
                 self._changed.wait(0.2)
+                before, left = left, self._not_there()
+                give_up = time.monotonic() + FIRST_S if left < before else give_up
+            if left:
+                self._note(f"{counted(left, 'array task')} could not be sent to a host; sierra attach sends them")
 
-    def _sent(self) -> list[LabTask]:
-        return [task for task in self._tasks.alive() if task.host in self._hosts]
+    def _not_there(self) -> int:
+        """Return the number of tasks that no host is known to have."""
+        there = {(name, entry) for name, host in self._hosts.items() for entry in host.seen}
+        return sum((task.host, task.entry) not in there for task in self._tasks.alive())
 
-    def _seen(self, task: LabTask) -> set[str]:
-        return self._hosts[task.host].seen
-
-    def close(self) -> None:
+    def close(self, *, over: bool) -> None:
         """End the connections; if everything has ended, the hosts forget the session first."""
         with self._changed:
             if self._closed or not self._follows:
                 return
+            give_up = time.monotonic() + REMOVE_S
+            while over and self._alive_there() and time.monotonic() < give_up:
+                self._changed.wait(0.1)
             if self._tasks.all and not self._tasks.alive():
                 self._tell_all("remove")
                 give_up = time.monotonic() + REMOVE_S
@@ -275,6 +299,10 @@ class Lab:
             hosts = list(self._hosts.values())
         for host in hosts:
             host.connection.close()
+
+    def _alive_there(self) -> bool:
+        """Return whether a connected host has tasks whose end it has not told."""
+        return any(task.host in self._hosts and self._hosts[task.host].connection.connected for task in self._tasks.alive())
 
     # ---------------------------------------------------------------- in the threads of connections
 
@@ -337,10 +365,15 @@ class Lab:
                     host.connection.send("end", entry=task.entry)
                 has_changed = has_changed or task.stage is not Stage.RUNNING
                 task.stage = Stage.RUNNING
-            elif task.entry in host.seen and task.entry not in queued:
-                task.stage, task.reason = Stage.ENDED, f"{name} has no record of its end (is its disk full?)"
+            elif task.entry in queued:
+                continue
+            elif task.entry in host.seen and task.stage is Stage.RUNNING:
+                task.end(f"{name} has no record of its end (is its disk full?)")
                 has_changed = True
-            elif task.entry not in queued and host.resends:
+            elif task.entry in host.seen or (host.resends and not host.is_ready):  # it was withdrawn, or never came
+                self._tasks.take_back(task)
+                has_changed = True
+            elif host.resends:
                 self._send(host, task)
         host.resends = False
         host.seen |= {*queued, *running, *ended}
@@ -350,21 +383,22 @@ class Lab:
                 host.connection.send("withdraw", entry=entry)
                 host.connection.send("end", entry=entry)
         self._withdrawing -= {*running, *ended}
-        if has_changed:
-            self._tasks.save()
+        self._has_changed = self._has_changed or has_changed
 
     def _on_end(self, host: LabHost, task: LabTask, status: int | None, reason: str, line: str) -> None:
         """Take in that a task has ended. If its host could not execute it, another one does."""
         job, name = task.job, host.connection.name
         if line:
-            (self._session.logs / f"{job}_{task.element}.out").write_text(f"{line}\n", "utf-8")
-        if status == TROUBLE and not task.ours:
+            with disk_errors(self._session.logs):
+                (self._session.logs / f"{job}_{task.element}.out").write_text(f"{line}\n", "utf-8")
+        task.failures += status == TROUBLE
+        if status == TROUBLE and task.failures == 1 and not task.ours:  # if another host fails too, runs may be the cause
             said = line.removeprefix("array task: ").removeprefix(f"{name}: ")
             self._put_aside(host, said or reason or "its programs cannot start")
             self._tasks.take_back(task)
         else:
-            task.stage, task.reason = Stage.ENDED, f"{name}: {reason}" if reason else ""
-        self._tasks.save()
+            task.end(f"{name}: {reason}" if reason else "", blameless=reason in BLAMELESS)
+        self._has_changed = True
 
     def _on_withdrawal(self, host: LabHost, entry: str) -> None:
         self._withdrawing.discard(entry)
@@ -373,10 +407,10 @@ class Lab:
         if task is None or task.stage is not Stage.SENT:
             return
         if task.ours:
-            task.stage, task.reason = Stage.ENDED, "cancelled"
+            task.end("cancelled")
         else:
             self._tasks.take_back(task)
-        self._tasks.save()
+        self._has_changed = True
 
     def _on_loss(self, host: LabHost, reason: str) -> None:
         """Take in that there is no connection to a host, after one more attempt to connect."""
@@ -393,9 +427,8 @@ class Lab:
         if host.connection.connected or not tasks or silent < self._table.lease + MARGIN_S:
             return
         for task in tasks:
-            task.stage = Stage.ENDED
-            task.reason = f"node {host.connection.name} was lost: no connection for {silent:.0f} s"
-        self._tasks.save()
+            task.end(f"node {host.connection.name} was lost: no connection for {silent:.0f} s", blameless=True)
+        self._has_changed = True
 
     def _put_aside(self, host: LabHost, reason: str) -> None:
         """Send no more tasks to a host, and take back what it has not begun. Its results are still fetched."""
@@ -414,12 +447,14 @@ class Lab:
 
     def _dispatch(self) -> None:
         """Send waiting tasks to hosts that have room. Raises Missing if the disk is full."""
-        if self._session.cancelled.exists():
-            return
-        slots = {name: host.slots for name, host in self._hosts.items() if host.is_ready and not host.resends}
+        if self._session.cancelled.exists() or self._closed:
+            slots: dict[str, int] = {}
+        else:
+            slots = {name: host.slots for name, host in self._hosts.items() if host.is_ready and not host.resends}
         dealt = deal(self._tasks, slots)
-        if dealt:
+        if dealt or self._has_changed:
             self._tasks.save()
+            self._has_changed = False
         for task in dealt:
             self._send(self._hosts[task.host], task)
         waits = to_withdraw(self._tasks, slots)
@@ -459,7 +494,7 @@ class Lab:
             with self._changed:
                 try:
                     self._look_after_hosts()
-                except SierraError as error:
+                except (SierraError, OSError) as error:
                     self._note(str(error))
 
     def _look_after_hosts(self) -> None:

@@ -6,8 +6,8 @@ import json
 import secrets
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import asdict
 from enum import StrEnum
+from functools import partial
 
 from sierra.errors import Damaged
 from sierra.store.layout import SessionPaths
@@ -17,7 +17,7 @@ from sierra.util.json_types import JsonView
 from sierra.util.lazy_definitions import dataclass, field
 
 Links = Mapping[str, Mapping[str, JsonView]]
-OWN = ("number", "without_end", "folder", "contents", "gpus", "links")
+OWN = ("number", "without_end", "token", "jobs", "contents", "gpus", "links")
 """The fields of `Tasks` beside its tasks."""
 AHEAD = 1
 """The number of tasks that a host has in addition to those that it executes, so that no slot waits for this machine."""
@@ -48,6 +48,18 @@ class LabTask:
     """Why it ended, if it did not end by itself."""
     ours: bool = False
     """True if this project has told it to end."""
+    blameless: bool = False
+    """True if it ended because of its host, or of the connection to it."""
+    failures: int = 0
+    """The number of hosts that could not execute it."""
+
+    @property
+    def name(self) -> str:
+        """Its job's id on the host, which begins the names of its attempts."""
+        return f"{self.job}-{self.entry.partition('.')[0]}"
+
+    def end(self, reason: str, *, blameless: bool = False) -> None:
+        self.stage, self.reason, self.blameless = Stage.ENDED, reason, blameless
 
 
 @dataclass(slots=True)
@@ -60,8 +72,10 @@ class Tasks:
     """The number of the last entry."""
     without_end: bool = False
     """True if hosts go on without this machine."""
-    folder: str = ""
-    """The name of the folder of this submission on hosts. A session may submit several times."""
+    token: str = field(default_factory=partial(secrets.token_hex, 4))
+    """It distinguishes this submission from others of the session, which may submit several times."""
+    jobs: int = 0
+    """The number of jobs."""
     contents: Mapping[str, str] = field(default_factory=dict)
     """The files and folders of this machine that jobs name, each with the kind of its content."""
     gpus: float | None = None
@@ -77,20 +91,22 @@ class Tasks:
             tasks = [LabTask(**{**task, "stage": Stage(task["stage"])}) for task in record["tasks"]]
             return cls(session, tasks, **{name: record[name] for name in OWN})
         except FileNotFoundError:
-            return cls(session, folder=f"{session.root.name}-{secrets.token_hex(4)}")
+            return cls(session)
         except (OSError, ValueError, TypeError, LookupError) as error:
             raise Damaged(f"{session.carried}: cannot be read: {error}") from error
 
     def save(self) -> None:
         """Write the tasks. Raises Missing if the disk is full."""
         own = {name: getattr(self, name) for name in OWN}
-        record = {"tasks": [asdict(task) for task in self.all], **own}
+        tasks = [{name: getattr(task, name) for name in LabTask.__slots__} for task in self.all]  # much faster than `asdict`
+        record = {"tasks": tasks, **own}
         with disk_errors(self.session.root):
             write_whole(self.session.carried, json.dumps(record).encode())
 
     def submit(self, elements: Collection[int]) -> str:
         """Add tasks for these elements; return the id of their job."""
-        job = str(1 + max((int(task.job) for task in self.all), default=0))
+        self.jobs += 1
+        job = f"{self.token}-{self.jobs}"
         self.all += [LabTask(job, element) for element in elements]
         return job
 

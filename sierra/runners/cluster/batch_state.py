@@ -150,6 +150,7 @@ def on_poll(batch: BatchState, answer: Answer, table: ClusterTable) -> Decision:
     batch = replace(batch, queued=queued, alive=alive)
     for index, task in answer.ended:
         shares[index].reason, shares[index].cancelled = task.reason or shares[index].reason, task.cancelled
+        shares[index].blameless = task.blameless
     if batch.phase is Phase.STOPPING:
         return replace(batch, phase=batch.phase if living else Phase.OVER), [Cancel(None)] if batch.uncancelled else []
     actions = _on_stuck(batch, answer.tasks)
@@ -216,7 +217,7 @@ def _on_lost(batch: BatchState, lost: Mapping[int, Evidence], table: ClusterTabl
     for index, seen in lost.items():
         share, timed = shares[index], bool(TIMED.search(why[index]))
         continued = {run for run in seen.continued if timed and share.begun[run] < MOST_CONTINUED}
-        if share.done > share.progress or continued:
+        if share.done > share.progress or continued or share.blameless:
             share.tries = 0
         cut = (seen.by_limit if timed else seen.alone) - continued
         attempts = 1 if timed and answer.is_longest and _overdue(seen, table) else table.attempts

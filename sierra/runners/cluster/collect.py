@@ -13,7 +13,7 @@ import json
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from datetime import UTC, datetime
 from pathlib import Path
@@ -75,6 +75,8 @@ class Share:
     cancelled: bool | None = None
     """`cancelled`: the scheduler says that somebody has cancelled it. `ours`: this process has cancelled it."""
     ours: bool = False
+    blameless: bool = False
+    """True if no run can be the cause of its last end."""
     node: str = ""
 
     @property
@@ -120,6 +122,8 @@ class Track:
     stalled: dict[str, Stalled] = field(default_factory=dict)
     """Runs that were reported as stopped by a signal, and have not ended."""
     finished: bool = False
+    forgiven: bool = False
+    """True if its end is no fault of the runs that it had begun."""
     trouble: str | None = None
     late: list[tuple[float, Ended]] = field(default_factory=list)
     """Runs whose files do not match their record yet, and since when."""
@@ -374,6 +378,13 @@ class Collector:
         """Return the executions that the end of the last attempt cut off, and that can continue from what they did in it."""
         cut_off = ((execution, path) for execution, path in checkpoints_of(self._session, index) if execution in last.begun)
         return {execution for execution, path in cut_off if checkpoints.changed_since(path, last.since)}
+
+    def forgive(self, jobs: Collection[str]) -> None:
+        """Count the runs in flight of the attempts of these jobs as not begun. An attempt's name begins with its job's id."""
+        for track in self._tracks.values():
+            if track.begun and track.pack.attempt.partition(".")[0] in jobs and not track.forgiven:
+                track.forgiven = True
+                self.shares[track.element].begun -= Counter(track.begun)
 
     def isolate(self, index: int) -> None:
         """Have the suspects of an element, and no other runs, executed one by one when it is submitted again."""

@@ -77,6 +77,7 @@ class Cluster:
         self._table = table
         self._scheduler = schedulers.find(scheduler)(table)
         self._opened = contextlib.ExitStack()
+        self._batch = BatchState(())
 
     def submit(self, work: Work, session: SessionPaths) -> None:
         bounds, version = self._scheduler.bounds(), self._scheduler.version()
@@ -112,7 +113,7 @@ class Cluster:
         past = submission_record.past(session)
         with disk_errors(session.root):
             forget(session)
-            self._opened.callback(scheduler.close)
+            self._opened.callback(self._disconnect, scheduler)
             scheduler.open(session, work, follows=True)
             each = work.times.each if work.times else (1.0,) * work.count
             order = sorted(range(work.count), key=lambda number: -each[number])
@@ -154,7 +155,7 @@ class Cluster:
     def _settings(self, work: Work, session: SessionPaths) -> dict[str, object]:
         return {
             "session": session.root.name,
-            "slots": slots_of(self._table, work.gpus),
+            "slots": 1 if isinstance(self._scheduler, Carries) else slots_of(self._table, work.gpus),
             "scratch": self._table.scratch,
             "needs": [asdict(one) for one in work.needs],
             "record": list(work.record),
@@ -166,10 +167,10 @@ class Cluster:
         submission = Submission.load(session)
         self._table = submission.cluster
         self._scheduler = schedulers.find(self._kind)(self._table)
-        if isinstance(self._scheduler, Carries):
-            self._opened.callback(self._scheduler.close)
-            self._scheduler.open(session, None, follows=True)
         self._begin(submission, session, recorded)
+        if isinstance(self._scheduler, Carries):
+            self._opened.callback(self._disconnect, self._scheduler)
+            self._scheduler.open(session, None, follows=True)
         if not session.worker.exists():  # another version of SIERRA has submitted it, with programs of other names
             write_whole(session.worker, worker_zip.packed())
         with self._ending_on_error():
@@ -223,6 +224,9 @@ class Cluster:
     def close(self) -> None:
         self._opened.close()
 
+    def _disconnect(self, scheduler: Carries) -> None:
+        scheduler.close(over=self._batch.phase is Phase.OVER)
+
     def look(self) -> Look:
         collector = self._collector
         results, copies = self._read() if collector.is_due() else ([], [])
@@ -236,7 +240,8 @@ class Cluster:
                 for known, more in zip((results, copies), self._read(), strict=True):
                     known += more
         if isinstance(self._scheduler, Carries):
-            self._notes += self._scheduler.notes()
+            for note in self._scheduler.notes():
+                self._note(note)
         notes, self._notes = tuple(self._notes), []
         rows, collector.rows = collector.rows, []
         batch = self._batch
@@ -317,6 +322,7 @@ class Cluster:
 
     def _answer(self, tasks: Sequence[Task]) -> Answer:
         """Return these tasks with what else is known now. The results of the session's earlier submissions are recorded."""
+        self._forgive()
         now, shares = time.monotonic(), dict(enumerate(self._batch.shares))
         last = submission_record.last(self._session, (task for task in tasks if task.state is State.ENDED))
         evidence = {
@@ -327,6 +333,11 @@ class Cluster:
         pairs = [(task, submission_record.elements(self._session, [task]) & shares.keys()) for task in tasks]
         ended = [(index, task) for index, task in last if index in shares]
         return Answer(pairs, ended, evidence, now, self._scheduler.forgets, self._wall_is_longest())
+
+    def _forgive(self) -> None:
+        """Count the runs in flight of tasks that ended through no fault of theirs as not begun."""
+        if isinstance(self._scheduler, Carries):
+            self._collector.forgive(self._scheduler.blameless())
 
     def _wall_is_longest(self) -> bool:
         """Return whether elements that are submitted again get no more time."""

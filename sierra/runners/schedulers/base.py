@@ -10,7 +10,7 @@ unreachable for a day. Its commands are called as argv tuples, with text formats
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Protocol, runtime_checkable
@@ -54,6 +54,8 @@ class Task:
     """True if it ended because somebody cancelled it, False if it certainly ended for another reason. None if it has not
     ended, or if the scheduler cannot tell.
     """
+    blameless: bool = False
+    """True if it ended and no run of it can be the cause: its host was switched off, or lost its connection."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,11 +245,14 @@ class Carries(Protocol):
     def notes(self) -> Sequence[str]:
         """Return the messages for the user since the last call."""
 
+    def blameless(self) -> Collection[str]:
+        """Return the ids of tasks, by NodeVariables.job, that ended through no fault of their runs."""
+
     def leave(self) -> None:
         """Let the hosts execute everything that is submitted, also if no process follows."""
 
-    def close(self) -> None:
-        """End the connections. It may be called again."""
+    def close(self, *, over: bool) -> None:
+        """End the connections. `over`: everything is recorded, so hosts may forget the session. It may be called again."""
 
 
 def find(name: str) -> type[Scheduler]:

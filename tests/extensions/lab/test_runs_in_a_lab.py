@@ -17,6 +17,7 @@ from tests import projects
 from tests.support import lab_project
 from tests.support.lab_project import QUERY, drive, ended, executed, rows_of, sessions
 from tests.support.robot_fleet import Fleet, Proxy
+from tests.tiers import at_night
 from tests.waiting import until
 
 pytestmark = [pytest.mark.integration, pytest.mark.each_case]
@@ -44,6 +45,7 @@ def test_runs_are_dealt_to_all_hosts_and_recorded_like_local_ones(fleet: Fleet, 
     assert not [folder for name in fleet.names for folder in sessions(fleet, name)], "the hosts forget what was fetched"
 
 
+@pytest.mark.nightly
 def test_an_unreachable_host_is_named_and_the_others_go_on(fleet: Fleet, tmp_path: Path) -> None:
     project = lab_project.make(fleet, tmp_path / "project")
     fleet.power_cut("rb2")
@@ -80,6 +82,7 @@ def test_a_link_that_is_cut_for_seconds_costs_nothing(fleet: Fleet, tmp_path: Pa
     assert max(executed(fleet).values()) == 1, "nothing is executed twice"
 
 
+@pytest.mark.nightly
 def test_the_runs_of_a_host_that_is_cut_off_for_ever_go_to_others(fleet: Fleet, tmp_path: Path) -> None:
     project = lab_project.make(fleet, tmp_path / "project", 1.0, SHORT)
     process = drive(project, *QUERY, "15")
@@ -91,6 +94,7 @@ def test_the_runs_of_a_host_that_is_cut_off_for_ever_go_to_others(fleet: Fleet, 
     assert not fleet.commands("rb2") or not [line for line in fleet.commands("rb2") if "sim.py" in line]
 
 
+@pytest.mark.nightly
 def test_after_a_restart_of_a_host_its_runs_are_executed_again(fleet: Fleet, tmp_path: Path) -> None:
     project = lab_project.make(fleet, tmp_path / "project", 1.0, SHORT)
     process = drive(project, *QUERY, "15")
@@ -101,7 +105,7 @@ def test_after_a_restart_of_a_host_its_runs_are_executed_again(fleet: Fleet, tmp
     assert rows_of(project, GOOD) == [(30, 30)]
 
 
-@pytest.mark.parametrize("program", ["front", "keeper", "array_task"])
+@pytest.mark.parametrize("program", ["keeper", *at_night(["front", "array_task"])])
 def test_a_program_of_the_host_that_is_killed_is_started_again(fleet: Fleet, tmp_path: Path, program: str) -> None:
     project = lab_project.make(fleet, tmp_path / "project", 1.0)
     process = drive(project, *QUERY, "10")
@@ -126,6 +130,7 @@ def test_what_hosts_have_when_their_driver_is_killed_is_recorded_by_the_next_one
     assert max(executed(fleet).values()) == 1
 
 
+@pytest.mark.nightly
 def test_a_detached_batch_is_executed_without_this_machine(fleet: Fleet, tmp_path: Path) -> None:
     project = lab_project.make(fleet, tmp_path / "project", 0.3, SHORT)
     code, errors = ended(drive(project, *QUERY, "10", "--detach"))
@@ -146,6 +151,7 @@ def test_a_cancelled_batch_ends_on_all_hosts(fleet: Fleet, tmp_path: Path) -> No
     until(lambda: not [line for name in fleet.names for line in fleet.commands(name) if "sim.py" in line], "no run is alive")
 
 
+@pytest.mark.nightly
 def test_a_host_with_a_full_disk_is_put_aside(fleet: Fleet, tmp_path: Path) -> None:
     project = lab_project.make(fleet, tmp_path / "project", 0.5)
     process = drive(project, *QUERY, "15")
@@ -157,6 +163,7 @@ def test_a_host_with_a_full_disk_is_put_aside(fleet: Fleet, tmp_path: Path) -> N
     assert rows_of(project, GOOD) == [(30, 30)]
 
 
+@pytest.mark.nightly
 def test_the_clock_of_a_host_orders_nothing(fleet: Fleet, tmp_path: Path) -> None:
     fleet.set_clock("rb2", 2 * 86400)
     project = lab_project.make(fleet, tmp_path / "project")
@@ -169,6 +176,7 @@ def test_the_clock_of_a_host_orders_nothing(fleet: Fleet, tmp_path: Path) -> Non
     assert rows_of(project, latest) == [(True, True)]
 
 
+@pytest.mark.nightly
 def test_two_drivers_share_the_slots_of_hosts(fleet: Fleet, tmp_path: Path) -> None:
     here = [lab_project.make(fleet, tmp_path / name, 0.5) for name in ("one", "other")]
     drivers = [drive(project, *QUERY, "10") for project in here]
@@ -183,6 +191,7 @@ def test_two_drivers_share_the_slots_of_hosts(fleet: Fleet, tmp_path: Path) -> N
     assert 0 < most <= 2
 
 
+@pytest.mark.nightly
 def test_hosts_join_and_leave_while_a_batch_executes(fleet: Fleet, tmp_path: Path) -> None:
     hosts = tmp_path / "hosts"
     hosts.write_text("# the lab\n2/rb1\n2/rb2  # window\n")
@@ -199,6 +208,7 @@ def test_hosts_join_and_leave_while_a_batch_executes(fleet: Fleet, tmp_path: Pat
     assert len(executed(fleet, "rb1")) < len(executed(fleet, "rb2"))
 
 
+@pytest.mark.nightly
 def test_a_long_way_to_the_hosts_only_takes_time(fleet: Fleet, tmp_path: Path) -> None:
     with contextlib.ExitStack() as opened:
         ways = [opened.enter_context(Proxy(fleet.robots[name].address, delay=0.05)) for name in fleet.names]

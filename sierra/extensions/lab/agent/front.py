@@ -70,9 +70,13 @@ class Front:
             busy = self._send_logs()
             self._report()
             self._keep()
-            if time.monotonic() > self._beat_at:
-                self._send({"event": "beat"})
+            self._beat()
             self._receive(0.0 if busy else POLL_S)
+
+    def _beat(self) -> None:
+        """Send a sign of life, if nothing was sent for some time."""
+        if time.monotonic() > self._beat_at:
+            self._send({"event": "beat"})
 
     def _receive(self, timeout: float) -> None:
         """Carry out what the driver asks for."""
@@ -84,9 +88,12 @@ class Front:
             line, _, self._held = self._held.partition(b"\n")
             request = json.loads(line)
             while len(self._held) < request.get("size", 0):
-                if not select.select([0], [], [], SILENCE_S)[0]:
+                self._beat()
+                if select.select([0], [], [], BEAT_S)[0]:
+                    self._read()
+                elif time.monotonic() - self._heard > SILENCE_S:
                     raise Gone
-                self._read()
+            self._beat()
             content, self._held = self._held[: request.get("size", 0)], self._held[request.get("size", 0) :]
             try:
                 self._carry_out(request, content)
@@ -148,10 +155,10 @@ class Front:
         at_once = runs_at_once(devices, self._gpus) if self._gpus else cores
         self._slots, self._lease = min(request["slots"] or cores, at_once), request["lease"]
         self._sent = dict(request["have"])
-        host_folder.set_lease(self._folder, self._lease)
         python = platform.python_version()
         self._send({"event": "hello", "slots": self._slots, "gpus": devices, "machine": os.uname().machine, "python": python})
         self._state = {"none": True}
+        self._set_lease()
 
     def _queue(self, entry: str, request: Record) -> None:
         """Queue a task, unless it is known: the connection may have been lost just after it was queued."""
@@ -165,8 +172,9 @@ class Front:
         taken = os.path.join(self._folder, entry + ".withdrawn")
         try:
             os.rename(os.path.join(self._folder, QUEUE, entry), taken)
-        except FileNotFoundError:
-            return
+        except FileNotFoundError:  # it has begun, or it could not be queued because the disk is full
+            if any(entry in host_folder.entries(self._folder, kind) for kind in STATES):
+                return
         unlink(taken)
         self._send({"event": "withdrawn", "entry": entry})
 
@@ -182,6 +190,13 @@ class Front:
         self._keep_at = time.monotonic() + BEAT_S
         if not any(host_folder.entries(self._folder, kind) for kind in (QUEUE, CLAIMED, RUNNING)):
             return
+        try:
+            self._start_keeper()
+        except OSError as error:
+            self._send_trouble(error)
+
+    def _start_keeper(self) -> None:
+        """Start the keeper, unless one is alive. Raises OSError."""
         own = host_folder.lock(os.path.join(self._folder, "keeper"))
         if own is None:
             return

@@ -25,7 +25,7 @@ import json
 import os
 import re
 import time
-from typing import Any
+from typing import Any, Dict
 
 from sierra.worker.processes import birth, read_proc
 
@@ -36,7 +36,7 @@ QUEUE, CLAIMED, RUNNING, ENDED, LOGS, RESULTS = "queue", "claimed", "running", "
 FOLDERS = ("elements", "engine", QUEUE, CLAIMED, RUNNING, ENDED, LOGS, RESULTS)
 STATES = (QUEUE, CLAIMED, RUNNING, ENDED)
 """The folders through which a task goes, in this order. It is written to the next one before it leaves one."""
-Record = dict[str, Any]
+Record = Dict[str, Any]
 
 
 def now() -> float:

@@ -28,6 +28,7 @@ from sierra.worker.processes import birth, marked
 BUSY_S, IDLE_S = 0.05, 0.5
 ENTRY = "SIERRA_LAB_ENTRY"
 LEASE_OVER = "the host heard nothing from the driver until its lease was over"
+CANCELLED = "cancelled"
 REBOOTED = "the host was restarted"
 LOST = "its process was killed"
 
@@ -57,6 +58,7 @@ class Keeper:
         self._locks = os.path.join(folder, "..", "..", "..", "slots", os.uname().nodename)
         self._tasks: dict[str, Task] = {}
         self._told = False
+        self._over = ""
         os.makedirs(self._locks, mode=0o700, exist_ok=True)
         self._adopt()
 
@@ -79,9 +81,12 @@ class Keeper:
                 self._end(entry)
             self._end_orphans()
             waiting = host_folder.entries(self._folder, QUEUE)
-            if self._is_over():
+            self._over = self._why_over()
+            if self._over:
                 self._stop(waiting)
                 waiting = []
+            else:
+                self._told = False
             started = 0
             while started < len(waiting) and self._start(waiting[started]):
                 started += 1
@@ -96,14 +101,17 @@ class Keeper:
         while time.monotonic() < give_up and all(task.process.poll() is None for task in self._tasks.values()):
             time.sleep(BUSY_S)
 
-    def _is_over(self) -> bool:
-        return os.path.exists(os.path.join(self._folder, "cancelled")) or host_folder.lease_is_over(self._folder)
+    def _why_over(self) -> str:
+        """Return why no task may execute any more; empty if tasks may."""
+        if os.path.exists(os.path.join(self._folder, "cancelled")):
+            return CANCELLED
+        return LEASE_OVER if host_folder.lease_is_over(self._folder) else ""
 
     def _stop(self, waiting: list[str]) -> None:
         """Start nothing more, and tell running tasks once to end."""
         for entry in waiting:
             if self._claim(entry):
-                self._note_end(entry, None, LEASE_OVER)
+                self._note_end(entry, None, self._over)
                 unlink(self._path(CLAIMED, entry))
         for entry in () if self._told else host_folder.entries(self._folder, RUNNING):
             process = host_folder.read_record(self._path(RUNNING, entry))
@@ -180,7 +188,7 @@ class Keeper:
         task = self._tasks.pop(entry)
         status = task.process.wait()
         os.close(task.slot.lock)
-        self._note_end(entry, status, "signal %d" % -status if status < 0 else LEASE_OVER if self._told else "")
+        self._note_end(entry, status, "signal %d" % -status if status < 0 else self._over if status else "")
         unlink(self._path(RUNNING, entry))
 
     def _end_orphans(self) -> None:
