@@ -206,7 +206,7 @@ def test_a_column(tmp_path: Path) -> None:
     copy = tmp_path / "copy"
     root = projects.make(tmp_path / "p")
     sierra(ROOT, root, "run", "population_size=1")
-    last = '    lamport: Annotated[int, "its position in the logical order, as in sessions"]\n'
+    last = 'sampled in the same way; NULL if unknown", "bytes", LATER\n    ] = None\n'
     column = '    niceness: Annotated[int | None, "how far it gives way to other programs", "1", LATER] = None\n'
     behind = "\n\nclass AttemptRow"
     change(
@@ -215,8 +215,8 @@ def test_a_column(tmp_path: Path) -> None:
         {
             "sierra/store/row_types.py": Edit(last + behind, last + column + behind),
             "sierra/ingest/recorder.py": Edit(
-                "lamport=context.lamport(position),\n        )\n\n\ndef _endings",
-                "lamport=context.lamport(position),\n            niceness=7,\n        )\n\n\ndef _endings",
+                "gpu_memory_bytes=result.gpu_memory_bytes,\n        )\n\n\ndef _keeps",
+                "gpu_memory_bytes=result.gpu_memory_bytes,\n            niceness=7,\n        )\n\n\ndef _keeps",
             ),
         },
     )
