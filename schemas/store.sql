@@ -234,7 +234,7 @@ CREATE TABLE sessions (
     "ended" TIMESTAMP WITH TIME ZONE,  -- when the session ended
     "runner" VARCHAR,  -- where runs were executed
     "engine" VARCHAR,  -- the container engine
-    "slots" BIGINT,  -- runs at a time; on a cluster, cores of all array tasks together, and NULL if it submitted none [1]
+    "slots" BIGINT,  -- runs at a time; on a cluster, those of all array tasks together, and NULL if it submitted none [1]
     "executed" BIGINT,  -- runs executed [1]
     "reexecuted" BIGINT,  -- runs among them that had been executed before [1]
     "reused" BIGINT,  -- runs whose recorded successful execution was reused [1]
@@ -755,7 +755,7 @@ CREATE TABLE all_sessions (
     "ended" TIMESTAMP WITH TIME ZONE,  -- when the session ended
     "runner" VARCHAR,  -- where runs were executed
     "engine" VARCHAR,  -- the container engine
-    "slots" BIGINT,  -- runs at a time; on a cluster, cores of all array tasks together, and NULL if it submitted none [1]
+    "slots" BIGINT,  -- runs at a time; on a cluster, those of all array tasks together, and NULL if it submitted none [1]
     "executed" BIGINT,  -- runs executed [1]
     "reexecuted" BIGINT,  -- runs among them that had been executed before [1]
     "reused" BIGINT,  -- runs whose recorded successful execution was reused [1]

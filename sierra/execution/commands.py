@@ -188,6 +188,17 @@ def _uses(command: Iterable[str], name: str) -> bool:
     return any(used == name for word in command for _, used in NAMED.findall(word))
 
 
+def has_checkpoint(spec: RunSpec, files: Files) -> bool:
+    """Return whether a run with these input files names its checkpoint."""
+    given = run_values.read(files)
+    variables = (text for name, text in spec.environment.items() if name not in given.environment)
+    return (
+        any(FOLDERS[CHECKPOINT].encode() in content for _, content in files)
+        or (CHECKPOINT not in given.values and _uses(spec.words, CHECKPOINT))
+        or _uses(variables, CHECKPOINT)
+    )
+
+
 def _with_arguments(words: tuple[str, ...], given: tuple[str, ...] | None) -> tuple[str, ...]:
     """Return the words with those that variables declare: in the place of `{arguments}`, or at the end."""
     if given is None:

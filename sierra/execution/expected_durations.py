@@ -14,8 +14,8 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 
-from sierra.config.change_tables import CHECKPOINT
 from sierra.errors import SierraError
+from sierra.execution import commands
 from sierra.execution.plan import Plan
 from sierra.model import Batch, Times, Value
 from sierra.store.store import Store
@@ -119,8 +119,7 @@ def expected(
     timed = sum(duration is not None for duration in exact.values())
     there = (known.there(plan.batch.experiments[ordinal].values) for ordinal in wanted)
     longest = max((seconds for seconds in there if seconds is not None), default=None)
-    spec = plan.batch.spec
-    continues = any(f"{{{CHECKPOINT}}}" in text for text in (*spec.words, *spec.environment.values()))
+    continues = commands.has_checkpoint(plan.batch.spec, plan.files(ordered[0]))
     return order, Times(each, new, _description(timed, len(exact), plan.batch.axes), longest, continues)
 
 
@@ -154,7 +153,7 @@ def _seconds(plan: Plan, known: _Known, exact: Mapping[int, float | None]) -> di
 def recorded(store: Store, runs: Sequence[str]) -> Times | None:
     """Return the recorded mean durations of these runs; None if none of them succeeded."""
     with store.snapshot() as snapshot:
-        snapshot.views.make(("executions",))
+        snapshot.views.make(("executions", "endings"))
         snapshot.add_table("asked", run=runs)
         took: dict[str, float] = dict(snapshot.run(RECORDED))
     if not took:
@@ -175,18 +174,19 @@ def _estimate(values: Mapping[str, Value], known: _Known) -> float:
     return slowest * math.prod(_growth(name, value, known) for name, value in values.items())
 
 
-# no variable has a blank in its name
+# no variable has a blank in its name; executions that continued took only the rest of a run's time
 TIMED = """
 SELECT b.controller AS "of controller", b.scenario AS "of scenario", b.overrides AS "of overrides", avg(e.wall_s) AS "took s",
        avg(e.wall_s) FILTER (WHERE e.session IN (SELECT session FROM sessions WHERE runner = $runner)) AS "took there s",
        x.* EXCLUDE (batch, ordinal, experiment)
-FROM executions e JOIN batch_runs m USING (batch, run) JOIN experiments x USING (batch, ordinal) JOIN batches b USING (batch)
-     JOIN specs r ON r.spec = b.spec
+FROM executions e ANTI JOIN (FROM endings WHERE kind = 'resumed') n USING (execution) JOIN batch_runs m USING (batch, run)
+     JOIN experiments x USING (batch, ordinal) JOIN batches b USING (batch) JOIN specs r ON r.spec = b.spec
 WHERE e.status IN ('ok', 'accepted') AND e.purpose = 'run' AND r.command = $command
 GROUP BY ALL
 """
 RECORDED = """
 SELECT run, avg(wall_s) FROM executions SEMI JOIN asked USING (run)
+ANTI JOIN (FROM endings WHERE kind = 'resumed') USING (execution)
 WHERE status IN ('ok', 'accepted') AND purpose = 'run' GROUP BY run
 """
 
@@ -195,7 +195,7 @@ def _timed(plan: Plan, store: Store, runner: str) -> Iterator[Timed]:
     """Yield the durations of runs with the same command, controller, scenario and settings, or else with others."""
     project, query, batch = plan.project.config, plan.query, plan.batch
     with store.snapshot() as snapshot:
-        snapshot.views.make(("executions", "batch_runs", "experiments", "batches", "specs", "sessions"))
+        snapshot.views.make(("executions", "endings", "batch_runs", "experiments", "batches", "specs", "sessions"))
         rows = snapshot.rows(TIMED, command=list(batch.spec.command), runner=runner)
     settings = {
         "of controller": query.controller or project.controller,

@@ -258,8 +258,12 @@ class Recorder:
             self._pending, self._waiting = self._by_others(doubt, last=last)
             failed += self._record_pending() if self._pending else []
         self._record_late()
-        self._outdated = {checkpoint for checkpoint in self._outdated if not checkpoints.discard(checkpoint)}
+        self._discard_outdated()
         return failed
+
+    def _discard_outdated(self) -> None:
+        """Remove the checkpoints from which no execution is to continue, as far as no execution holds them any more."""
+        self._outdated = {checkpoint for checkpoint in self._outdated if not checkpoints.discard(checkpoint)}
 
     def _note(self, doubt: Doubt) -> None:
         """Note a doubt for another process that may have to record the rest of the session."""
@@ -305,12 +309,13 @@ class Recorder:
             self._position = first + len(judged)
             judged = [self._marked(judgement) for judgement in judged]
             self._write_parts(writer, judged)
+            ended = [judgement.result.run for judgement in judged if not _keeps_checkpoint(judgement, doubted=self.doubted)]
+            self._outdated.update(filter(None, map(self._checkpoint, ended)))
+            self._discard_outdated()  # first: nobody looks for the checkpoint of a recorded run after a crash
             self._store.publish(writer)
             self._ruled += 1
             for judgement in judged:
                 self._move_or_remove(judgement.result)
-                if not _keeps_checkpoint(judgement, doubted=self.doubted):
-                    self._outdated.update(filter(None, [self._checkpoint(judgement.result.run)]))
             self._pending = rest
             self._other_rows, self._copies = {}, []
             failed += [

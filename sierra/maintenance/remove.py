@@ -26,6 +26,7 @@ from sierra.maintenance.transaction import changing, publish, undisturbed
 from sierra.provenance import source
 from sierra.store import study_records
 from sierra.store.compaction import Compaction, groups, touched
+from sierra.store.layout import StorePaths
 from sierra.store.row_types import About, Of, To
 from sierra.store.schema import RECORDED, columns_with, sql_types
 from sierra.store.segments import Segment
@@ -33,6 +34,7 @@ from sierra.store.store import Snapshot, Store
 from sierra.util.hashing import short
 from sierra.util.lazy_definitions import dataclass, field, replace
 from sierra.util.text import few
+from sierra.worker import checkpoints
 
 KINDS = ("batch", "experiment", "run", "execution", "study", "claim")
 """The kinds of objects that have ids."""
@@ -89,6 +91,8 @@ class _Plan:
     concerned: set[str] = field(default_factory=set)
     """Batches that must not be executing during the removal."""
     seen: set[str] = field(default_factory=set)
+    runs: set[str] = field(default_factory=set)
+    """Runs whose checkpoints are removed, so that the next execution begins anew."""
 
 
 def plan(store: Store, prefixes: Sequence[str]) -> Removal:
@@ -126,8 +130,17 @@ def remove(
             return planned.seen
 
         left = publish(store.paths, session, prepare, lambda: undisturbed(store.paths, session, planned.concerned))
+        _discard_checkpoints(store.paths, planned.runs)
     done = planned.removal
     return replace(done, left=left)
+
+
+def _discard_checkpoints(paths: StorePaths, runs: AbstractSet[str]) -> None:
+    """Remove the checkpoints of these runs that no execution uses."""
+    if paths.checkpoints.is_dir():
+        for path in sorted(paths.checkpoints.iterdir()):
+            if path.name.partition(".")[0] in runs:
+                checkpoints.discard(str(path))
 
 
 def _resolve(store: Store, prefixes: Sequence[str]) -> dict[str, set[str]]:
@@ -233,6 +246,8 @@ def _plan(store: Store, named: Mapping[str, AbstractSet[str]]) -> _Plan:
         planned.seen = {segment.name for segment in snapshot.segments}
         concerned = "SELECT batch FROM batch_runs WHERE run IN (SELECT run FROM gone) UNION SELECT batch FROM gone_batches"
         planned.concerned = _column(snapshot, concerned)
+        removed = "SELECT run FROM gone UNION (SELECT run FROM asked_members EXCEPT SELECT run FROM shared)"
+        planned.runs = _column(snapshot, removed)
         return planned
 
 

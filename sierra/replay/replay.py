@@ -28,7 +28,7 @@ from sierra.execution.observer import Observer, ProgressCounter
 from sierra.execution.run_jobs import JobService, Setup
 from sierra.execution.sessions import Session
 from sierra.ingest.recording_context import Context
-from sierra.model import Status
+from sierra.model import Limits, Status
 from sierra.provenance import environment, reported_versions
 from sierra.provenance.change_guard import guard
 from sierra.provenance.dependency_model import Programs
@@ -48,6 +48,7 @@ from sierra.util.lazy_definitions import dataclass, replace
 from sierra.util.lazy_logger import Log
 from sierra.util.text import counted, like
 from sierra.util.version import __version__
+from sierra.worker.gpus import without_limit
 
 log = Log(__name__)
 
@@ -168,7 +169,7 @@ class _Replaying:
         of, resolved = self._of, self._record.found
         log.info("replay of %s %s on %s with %s", resolved.kind, resolved.id, self._options.runner, of.engine.name)
         code = self._restored()
-        limits = self._options.variation.limits(of.project.config)
+        limits = self._limits()
         spec = self._options.variation.spec(of.spec)
         setup = Setup(of.project, spec, of.engine, of.image, limits, code.root, code.environment)
         service = JobService(setup, self._store, self._session, stays=of.runner.stays)
@@ -199,6 +200,14 @@ class _Replaying:
         for text in notes:
             self._notes.append(text)
             self._observer.notice(text)
+
+    def _limits(self) -> Limits:
+        """Return the limits of each execution: where this machine has no GPU, runs execute without."""
+        limits, runner = self._options.variation.limits(self._of.project.config), self._of.runner
+        if runner.stays or runner.remote or not (note := without_limit(limits.gpus)):
+            return limits
+        self._say([note])
+        return replace(limits, gpus=None)
 
     def _restored(self) -> _Code:
         """Restore the recorded source, with its products and the files that runs used, and look at programs and machine."""

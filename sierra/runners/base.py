@@ -55,7 +55,8 @@ class Work:
     gpus: float | None = None
     """The most GPUs that one of the runs holds, or its share of one (`Limits.gpus`). None: they request none.
 
-    A runner that does not give GPUs to runs raises ConfigError in `submit` if there are any: see `no_gpus`.
+    A runner that does not give GPUs to runs raises ConfigError in `submit` if there are any: the
+    variables of such jobs have marks, in whose place only `sierra.worker` puts GPUs (see `sierra.worker.devices`).
     """
     links: Tables = field(default_factory=dict)
     """The options of links to hosts, as `[links.NAME]` has them, for runners that reach hosts by a link."""

@@ -15,6 +15,7 @@ from sierra.util.hashing import short
 from sierra.util.json_types import JsonView, RecordValue
 from sierra.util.lazy_definitions import dataclass
 from sierra.util.regular_files import open_regular
+from sierra.util.text import one_line
 
 if TYPE_CHECKING:
     from sierra.worker.journal import Outcome
@@ -33,16 +34,21 @@ class Started:
 
 @dataclass(frozen=True, slots=True)
 class Stalled:
-    """A run all of whose processes are stopped by a signal."""
+    """A run all of whose processes are stopped by a signal, or that has not got its checkpoint."""
 
     run: str
     execution: str
     pid: int
     since: float
     """Time in seconds since the epoch."""
+    unkept: str = ""
+    """The reason why it has not got its checkpoint."""
 
     def message(self, where: str = "") -> str:
         """Return the message for the user; `where` is the node, for example ` on n1`."""
+        if self.unkept:
+            reason = one_line(self.unkept)
+            return f"run {short(self.run)} began without its checkpoint{where}, and what it saves there is not kept: {reason}"
         when = time.strftime("%H:%M:%S", time.localtime(self.since))
         cure = f"continue it with kill -CONT {self.pid}{where}, or set wall in [limits] to end such runs"
         return f"run {short(self.run)} makes no progress: a signal stopped its processes{where} at {when}; {cure}"

@@ -20,7 +20,7 @@ from typing import Annotated, ClassVar, Literal, cast
 from pydantic import BeforeValidator, Field, PositiveInt
 
 from sierra.config.field_types import Table
-from sierra.errors import ConfigError, Missing
+from sierra.errors import Missing
 from sierra.model import Job, Limits, Result, Status
 from sierra.runners.base import Look, Work
 from sierra.runners.journal_reader import Journal, Stalled, Started
@@ -29,7 +29,7 @@ from sierra.util import open_files, signals
 from sierra.util.lazy_logger import Log, shown
 from sierra.worker import program
 from sierra.worker.containers import CLEAN_S
-from sierra.worker.devices import NoDevices, ids_in
+from sierra.worker.devices import NoDevices, ids_in, listed_in, runs_at_once
 from sierra.worker.gpus import with_gpus
 from sierra.worker.job import GRACE_S
 from sierra.worker.job import Job as JobRecord
@@ -95,6 +95,8 @@ class Local:
         self._grace = GRACE_S
         self._sent: dict[str, Job] = {}
         """The jobs without a result that the worker has got, by execution."""
+        self._notes: list[str] = []
+        """Notes for the next look."""
         self._forget: Callable[[], None] = lambda: None
         self._running: dict[str, float] = {}
         """When this process has learnt of the start of each running execution."""
@@ -105,8 +107,10 @@ class Local:
                 self._environment = with_gpus(os.environ, work.gpus, self._table.gpus)
             except NoDevices as error:
                 raise Missing(str(error)) from error
+            # a slot that waited for GPUs would hold a run that another could execute
+            self._slots = min(self._slots, runs_at_once(len(listed_in(self._environment)), work.gpus))
         elif "gpus" in self._table.model_fields_set:
-            raise ConfigError("[runners.local] gpus has no effect: runs request no GPUs; set [limits] gpus, such as 1 or 0.5")
+            self._notes.append("[runners.local] gpus has no effect: runs request no GPUs, such as by [limits] gpus = 1")
         self._session = session
         self._journal = Journal(session.journal)
         self._journal.skip()
@@ -157,7 +161,7 @@ class Local:
                 pipe.close()
 
     def look(self) -> Look:
-        notes = list(self._watch())
+        notes, self._notes = [*self._notes, *self._watch()], []
         ended = self._process is None or self._process.poll() is not None
         results = []
         events, more = self._journal.some()

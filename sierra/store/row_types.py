@@ -467,7 +467,7 @@ class SessionRow(NamedTuple):
     runner: Annotated[Kept, "where runs were executed"]
     engine: Annotated[Kept, "the container engine"]
     slots: Annotated[
-        int | None, "runs at a time; on a cluster, cores of all array tasks together, and NULL if it submitted none", "1"
+        int | None, "runs at a time; on a cluster, those of all array tasks together, and NULL if it submitted none", "1"
     ]
     executed: Annotated[int, "runs executed", "1"]
     reexecuted: Annotated[int, "runs among them that had been executed before", "1"]

@@ -5,10 +5,13 @@ FOLDER/               the checkpoint of one run; its name is the run's id and, a
     files/            the files that the run keeps; `{checkpoint}` stands for this folder
 
 In a job, NUL and then `/` and CHECKPOINT stand for `files`, if the job has a `checkpoint` (FOLDER) that nobody else has locked.
-Otherwise they stand for an empty folder in the run's own folder: for a replay, for a run that executes twice at once, and on a
-file system without locks. Nothing is kept then. A run whose folder has files when it begins has the key `resumed` in its `end`.
+The worker waits for the lock for the grace time of the run, because an earlier execution may be about to end. Otherwise they
+stand for an empty folder in the run's own folder: for a replay, for a run that executes twice at once, and on a file system
+without locks. Nothing is kept then, and the worker's journal says so, except for a replay. A run whose folder has files when it
+begins has the key `resumed` in its `end`.
 
-The program of a run inherits the lock: while one of its processes lives, no other execution gets the folder.
+The program of a run inherits the lock, and so do the programs around it: no other execution gets the folder while they live.
+Programs that they start inherit it unless they close it, as those that Python starts do. Processes in a container do not.
 """
 
 from __future__ import annotations
@@ -18,27 +21,38 @@ import fcntl
 import itertools
 import json
 import os
-from typing import Iterator, Mapping, cast
+import time
+from typing import Callable, Iterator, Mapping, cast
 
 from sierra.worker.files import end_of, files_below, is_folder, remove, unlink, write_all
-from sierra.worker.job import Job, Program, is_conducted
+from sierra.worker.job import GRACE_S, Job, Program, is_conducted
 from sierra.worker.layout import CHECKPOINT
+from sierra.worker.processes import POLL_S
 
 TEXT = "\0/" + CHECKPOINT
 MARK, FILES = "mark", "files"
 MOST_FILES = 10000
 """The number of files of a checkpoint whose times are looked at."""
+BUSY = "another execution of the run still uses it"
+UNLOCKED = "it cannot be locked there"
 MOST_TRIES = 10
 """How often a lock is requested whose file another process removes meanwhile."""
 
 
 @contextlib.contextmanager
-def claimed(job: Job) -> Iterator[Job]:
+def claimed(job: Job, is_stopping: Callable[[], bool] = lambda: False) -> Iterator[Job]:
     """Give a job its checkpoint until the run has ended, if it has one that nobody else uses. Raises OSError."""
     folder = job.get("checkpoint")
-    held = _lock(folder, create=True) if folder else None
-    if not folder or held is None:
+    if not folder:
         yield job
+        return
+    try:
+        held = _awaited_lock(folder, job["limits"].get("grace_s", GRACE_S), is_stopping)
+    except BlockingIOError:
+        yield {**job, "unkept": BUSY}
+        return
+    if held is None:
+        yield {**job, "unkept": UNLOCKED}
         return
     try:
         if os.fstat(held).st_size == 0:
@@ -75,7 +89,10 @@ def discard(folder: str) -> bool:
     """Remove a checkpoint. Return False if it still exists: a run uses it, or SIERRA has not made it."""
     if not os.path.lexists(folder):
         return True
-    held = _lock(folder, create=False)
+    try:
+        held = _lock(folder, create=False)
+    except BlockingIOError:
+        return False
     if held is None:
         return False
     try:
@@ -100,8 +117,18 @@ def _mark_of(folder: str) -> bytes:
     return os.fsencode(os.path.basename(folder)) + b"\n"
 
 
+def _awaited_lock(folder: str, seconds: float, is_stopping: Callable[[], bool]) -> int | None:
+    """Return what `_lock` does. If another process has locked the checkpoint, try again for so many seconds."""
+    give_up = time.monotonic() + seconds
+    while not is_stopping() and time.monotonic() < give_up:
+        with contextlib.suppress(BlockingIOError):
+            return _lock(folder, create=True)
+        time.sleep(POLL_S)
+    return _lock(folder, create=True)
+
+
 def _lock(folder: str, *, create: bool) -> int | None:
-    """Return the locked file of a checkpoint; None if another process has locked it, or locks do not work."""
+    """Return the locked file of a checkpoint; None if locks do not work. Raises BlockingIOError if another process has it."""
     mark = os.path.join(folder, MARK)
     for _ in range(MOST_TRIES):
         if create:
@@ -116,6 +143,9 @@ def _lock(folder: str, *, create: bool) -> int | None:
             return None
         try:
             fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(held)
+            raise
         except OSError:
             os.close(held)
             return None

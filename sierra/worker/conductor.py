@@ -399,9 +399,20 @@ class Conductor:
 
 
 def start(argv: Sequence[str], *, output: int | None, errors: int | None, command: bool = False) -> subprocess.Popen[bytes]:
-    """Start a program in a session of its own; `command`: it is the run's command."""
+    """Start a program in a session of its own; `command`: it is the run's command.
+
+    It inherits the lock of the run's checkpoint, the only other descriptor that this process has been given.
+    """
     variables = {**os.environ, **COMMAND} if command else None
-    return subprocess.Popen(argv, stdin=subprocess.DEVNULL, stdout=output, stderr=errors, start_new_session=True, env=variables)
+    return subprocess.Popen(
+        argv,
+        stdin=subprocess.DEVNULL,
+        stdout=output,
+        stderr=errors,
+        start_new_session=True,
+        env=variables,
+        close_fds=False,
+    )
 
 
 def is_running(process: subprocess.Popen[bytes]) -> bool:

@@ -150,6 +150,11 @@ def ids_in(text: str) -> list[str]:
     return ids
 
 
+def listed_in(variables: Mapping[str, str]) -> list[str]:
+    """Return the devices that the first of these variables lists."""
+    return next((ids for ids in (ids_in(variables.get(name, "")) for name in DEVICES) if ids), [])
+
+
 def runs_at_once(count: int, gpus: float) -> int:
     """Return how many runs can execute at a time on `count` devices if each run requests `gpus` of them."""
     return int(count // gpus) if gpus >= 1 else count * int((1 + EXACT) / gpus)
@@ -162,7 +167,7 @@ class Pool:
         """Take the devices that the worker's variables list."""
         self._whole = {name: variables[name] for name in DEVICES if name in variables}
         lists = {name: ids_in(self._whole.get(name, "")) for name in DEVICES}
-        self._ids = next((ids for ids in lists.values() if ids), [])
+        self._ids = listed_in(variables)
         self._lists = {name: ids for name, ids in lists.items() if ids and len(ids) == len(self._ids)}
         self._used: list[float] = [0.0] * len(self._ids)
         self._turn = threading.Lock()

@@ -37,7 +37,7 @@ from typing import Any, Iterator, Mapping, NamedTuple, Sequence
 from sierra.worker import program
 from sierra.worker.devices import NoDevices
 from sierra.worker.files import last_line_of
-from sierra.worker.gpus import with_gpus
+from sierra.worker.gpus import with_gpus, without_limit
 from sierra.worker.journal import GrowingJournal
 from sierra.worker.machine import granted_cores, usable_cores
 from sierra.worker.package_places import Place, arch, place_of, shown_command
@@ -305,6 +305,11 @@ def execute(
         raise missing("no batch of the package can be executed without SIERRA")
     slots = granted_cores()
     count, took = choose(batches, runs, None if seconds is None else seconds * slots)
+    for batch in batches:
+        note = without_limit(batch.limits.get("gpus"))
+        if note:
+            del batch.limits["gpus"]
+            batch.notes.append(note)
     places = [place_of(batch, engine) for batch in batches if batch.only is None or batch.only]
     confirm("\n".join(proposal(places, count, took, slots)), yes=yes)
     folder = new_folder(work)

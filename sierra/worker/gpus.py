@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 from typing import Mapping, NamedTuple, Sequence
@@ -48,6 +49,13 @@ def with_gpus(environment: Mapping[str, str], gpus: float, wanted: str | int | S
         raise NoDevices("runs request %g GPU%s each ([limits] gpus), but %s" % (gpus, "s" if gpus > 1 else "", seen))
     others = {name: value for name, value in environment.items() if name not in DEVICES}
     return {**others, variable: ",".join(ids)}
+
+
+def without_limit(gpus: float | None) -> str:
+    """Return a note that this machine has no GPU, so that runs which request some execute again without; empty if it has."""
+    if gpus is None or of_this_machine(os.environ).ids:
+        return ""
+    return "[limits] gpus = %g is not heeded: this machine has no GPU, so the runs get none" % gpus
 
 
 def counted(ids: Sequence[str]) -> str:

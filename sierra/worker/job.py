@@ -83,6 +83,8 @@ class Job(Program):
     checkpoint: NotRequired[str]
     """The folder of the run's checkpoint, which its executions share: see `sierra.worker.checkpoints`."""
     claim: NotRequired[Claim]
+    unkept: NotRequired[str]
+    """The reason why the run does not get its checkpoint, so that what it saves is lost. `claimed` sets it."""
     resumed: NotRequired[bool]
     """True if the run begins with files in its checkpoint. The worker sets it, and `claim`."""
     waits: NotRequired[bool]

@@ -85,13 +85,14 @@ class Ready(TypedDict):
 
 
 class Stalled(TypedDict):
-    """The event that all processes of a run are stopped."""
+    """The event that all processes of a run are stopped, or that it has not got its checkpoint (`unkept`: the reason)."""
 
     event: Literal["stalled"]
     run: str
     execution: str
     pid: int
     since: float
+    unkept: NotRequired[str]
 
 
 class Outcome(Usage, Remains):

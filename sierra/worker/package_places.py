@@ -14,7 +14,7 @@ import sys
 from pathlib import Path
 from typing import Any, Callable, Iterable, Iterator, Mapping, Sequence, Union
 
-from sierra.worker.devices import requested
+from sierra.worker.devices import CDI_MARK, requested
 from sierra.worker.job import CONDUCTED
 from sierra.worker.package_plan import ARCH_MARK, EXECUTION, PROJECT_MARK, PYTHON_MARK, Batch, Run, is_safe, missing
 from sierra.worker.reproduce import ENGINES, HOST, clean
@@ -185,6 +185,8 @@ class Container:
                 return self.way()
             if word == COMMAND:
                 return argv
+            if word.endswith(CDI_MARK) and "gpus" not in self.batch.limits:
+                return ()  # this machine has no GPU
             if VARIABLE in word:
                 return (word.replace(VARIABLE, name).replace(VALUE, text) for name, text in environment.items())
             return [MOST.sub(allowed, str(filled(word, own)))]

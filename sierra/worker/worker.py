@@ -53,7 +53,7 @@ from sierra.worker.errors import explain, why_not_started
 from sierra.worker.files import CHUNK, check_room, entries_of, is_folder, is_full, remove, unlink
 from sierra.worker.free_ports import NoFreePort, Ports
 from sierra.worker.job import Job, is_conducted
-from sierra.worker.journal import BEGUN, GONE, READY, UNUSED, Announce, End, Event, Journal, Remains, Usage, no_outputs
+from sierra.worker.journal import BEGUN, GONE, READY, UNUSED, Announce, End, Event, Journal, Remains, Stalled, Usage, no_outputs
 from sierra.worker.layout import TRACE
 from sierra.worker.observations import Observations
 from sierra.worker.outputs import GivenUp, collect_outputs
@@ -332,7 +332,7 @@ class Worker:
 
     def execute(self, job: Job, slot: int) -> None:
         """Execute one run, from making its folder to writing its line in the journal."""
-        with checkpoints.claimed(job) as placed:
+        with checkpoints.claimed(job, lambda: self.stopping) as placed:
             self.execute_placed(placed, slot)
 
     def execute_placed(self, job: Job, slot: int) -> None:
@@ -383,6 +383,8 @@ class Worker:
         with self.lock:
             self.running[running.pid] = running
         self.note(running, {"event": "start", "execution": running.execution, "pid": running.pid, "born": birth(running.pid)})
+        if unkept := job.get("unkept"):
+            self.note(running, {**stalled(running, time.time()), "unkept": unkept})
         if running.limited or observation or self.stopping:
             self.wakeup.wake()
         running.gpu_usage = self.gpu_usage(job)
@@ -417,6 +419,8 @@ class Worker:
         if running.stopped != "interrupted" and not running.seal:
             check_room(self.folder)
             check_temporary(running.temporary)
+            if running.checkpoint and is_folder(running.checkpoint):
+                check_room(running.checkpoint)
         failure = report.error or trouble_of_services(services)
         spare = alone and self.adopts and run_folder is not None and run_folder.is_reusable()
         if running.seal:  # the worker that takes the folder out of the container reads it
@@ -655,8 +659,7 @@ class Worker:
                 if due[-1] <= now:
                     run.stop(MARKED)
             if run.stalled(now):
-                since = time.time() - STALLED_S
-                self.note(run, {"event": "stalled", "run": run.run, "execution": run.execution, "pid": run.pid, "since": since})
+                self.note(run, stalled(run, time.time() - STALLED_S))
             if run.observation:
                 run.observation.limit()
                 run.observation.look(pid for pid in run.pids() if pid != run.pid or not run.conducted)
@@ -676,6 +679,11 @@ class Worker:
         else:
             due.append(now + POLL_S)
         return max(0.005, heapq.nsmallest(1, due)[0] - time.monotonic())
+
+
+def stalled(running: Running, since: float) -> Stalled:
+    """Return the event that a run makes no progress, or what it makes is lost, since a time in seconds since the epoch."""
+    return {"event": "stalled", "run": running.run, "execution": running.execution, "pid": running.pid, "since": since}
 
 
 def execute(arguments: Sequence[str], announce: Announce = lambda state: None) -> Worker:

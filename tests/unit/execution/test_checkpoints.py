@@ -8,6 +8,10 @@ from pathlib import Path
 
 import pytest
 
+import sierra
+from sierra.execution import expected_durations
+from sierra.store.segments import Writer
+from sierra.store.store import Store
 from sierra.worker import checkpoints
 from tests.projects import quick, sql, start
 from tests.waiting import until
@@ -142,7 +146,14 @@ def test_a_run_that_executes_twice_at_once_shares_no_checkpoint(tmp_path: Path) 
     until(lambda: list(root.glob(".sierra/checkpoints/*/files/state")))
     [folder] = (root / ".sierra/checkpoints").iterdir()
     assert not checkpoints.discard(str(folder))
-    again = {"run": "r", "execution": "e", "argv": ["a", checkpoints.TEXT], "environment": {}, "files": {}, "limits": {}}
+    again = {
+        "run": "r",
+        "execution": "e",
+        "argv": ["a", checkpoints.TEXT],
+        "environment": {},
+        "files": {},
+        "limits": {"grace_s": 0},
+    }
     with checkpoints.claimed({**again, "checkpoint": str(folder)}) as job:  # type: ignore[typeddict-item]
         assert "claim" not in job
         own = tmp_path / "run"
@@ -165,6 +176,72 @@ def test_a_checkpoint_of_code_that_changed_meanwhile_is_not_used(tmp_path: Path)
     running.wait()
     running.communicate()
     assert kept(root) == []
+
+
+@pytest.mark.integration
+def test_only_the_duration_of_a_whole_run_is_learnt(tmp_path: Path) -> None:
+    root = make(tmp_path / "p", 3, 0)
+    assert (tried(root), tried(root), resumed(root)) == ("failed", "ok", ["ok"])
+    project = sierra.open(root)
+    plan = project.plan("population_size=1", runs=1)
+    runs = [run.id for run in plan.batch.runs]
+    assert expected_durations.expected(plan, project.store, set(runs))[1] is None
+    assert expected_durations.recorded(project.store, runs) is None
+
+
+WITHOUT = CONFIG.replace("{input} {checkpoint}", "{input} x").replace('KEPT = "{checkpoint}", ', "") % ("[0]", 30)
+NOWHERE = WITHOUT.replace('"{checkpoint}"', '"x"')
+
+
+@pytest.mark.parametrize(
+    ("config", "query", "continues"),
+    [
+        pytest.param(WITHOUT, "population_size=1", True, id="only in an input"),
+        pytest.param(NOWHERE.replace("{ ENDS", '{ KEPT = "{checkpoint}", ENDS'), "population_size=1", True, id="variable"),
+        pytest.param(NOWHERE, "population_size=1", False, id="nowhere"),
+        pytest.param(NOWHERE.replace("{input} x", "{input} {{checkpoint}}"), "population_size=1", False, id="a text"),
+        pytest.param(
+            NOWHERE.replace("{input} x", "{input} {checkpoint}") + "checkpoint = {}\n", "checkpoint=7", False, id="a value"
+        ),
+    ],
+)
+def test_a_run_may_take_longer_than_an_array_task_if_it_continues(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, config: str, query: str, continues: bool
+) -> None:
+    root = make(tmp_path / "p", 0)
+    (root / "sierra.toml").write_text(config)
+    project = sierra.open(root)
+    plan = project.plan(query, runs=1)
+    known = [expected_durations.Timed({axis.name: 1.0 for axis in plan.batch.axes}, 9.0)]
+    monkeypatch.setattr(expected_durations, "_timed", lambda plan, store, runner: iter(known))
+    _, times = expected_durations.expected(plan, Store.create(project.paths.store), {run.id for run in plan.batch.runs})
+    assert times is not None
+    assert times.continues is continues
+
+
+@pytest.mark.integration
+def test_a_run_that_is_removed_begins_anew(tmp_path: Path) -> None:
+    root = make(tmp_path / "p", 3, 0)
+    assert (tried(root), len(kept(root))) == ("failed", 1)
+    [batch] = sql(root, "SELECT batch FROM batches")
+    assert quick(root, "rm", batch["batch"], "--yes").returncode == 0
+    assert kept(root) == []
+
+
+@pytest.mark.integration
+def test_no_recorded_run_has_a_checkpoint_that_a_crash_would_leave(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    root = make(tmp_path / "p", 0)
+    left: list[list[str]] = []
+    publish = Store.publish
+
+    def crash(store: Store, writer: Writer) -> None:
+        publish(store, writer)
+        left.append(kept(root))
+
+    monkeypatch.setattr(Store, "publish", crash)
+    assert tried(root) == "ok"
+    assert left
+    assert not any(left)
 
 
 @pytest.mark.integration

@@ -82,7 +82,6 @@ def test_runs_without_the_limit_are_given_no_gpus(tmp_path: Path, monkeypatch: p
     [
         ("[limits]\ngpus = 3", 3, "runs request 3 GPUs each ([limits] gpus), but this machine has 2 GPUs (0, 1)"),
         ("[limits]\ngpus = 1\n[runners.local]\ngpus = 3", 3, "[runners.local] gpus = 3, but this machine has 2 GPUs (0, 1)"),
-        ("[runners.local]\ngpus = 1", 2, "[runners.local] gpus has no effect: runs request no GPUs; set [limits] gpus"),
         (
             '[limits]\ngpus = 1\n[environment]\nset = { CUDA_VISIBLE_DEVICES = "0" }',
             2,
@@ -97,6 +96,30 @@ def test_gpus_that_runs_cannot_get_are_refused_before_anything_executes(
     assert refusal in refused(root, status)
     (root / "sierra.toml").write_text(projects.CONFIG)
     assert projects.sql(root, "SELECT session FROM sessions") == []
+
+
+def test_gpus_of_this_machine_that_no_run_requests_are_noted(tmp_path: Path) -> None:
+    root = project(tmp_path, "[runners.local]\ngpus = 1\n")
+    done = projects.quick(root, "run", "population_size=1", "--no-figures")
+    assert done.returncode == 0, done.stderr
+    assert "note: [runners.local] gpus has no effect: runs request no GPUs, such as by [limits] gpus = 1" in done.stderr
+
+
+def test_a_replay_without_a_gpu_executes_without_and_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    root = project(tmp_path, "[limits]\ngpus = 1\n")
+    summary, _ = projects.run(root, "population_size=1")
+    monkeypatch.setattr(gpus, "of_this_machine", lambda environment: gpus.Gpus("CUDA_VISIBLE_DEVICES", ()))
+    assert "runs request 1 GPU each ([limits] gpus), but this machine has no GPU" in refused(root, 3)
+    replayed = projects.quick(root, "replay", str(summary["batch"]))
+    assert "[limits] gpus = 1 is not heeded: this machine has no GPU" in replayed.stdout + replayed.stderr
+    again = projects.sql(root, "SELECT status, gpus FROM executions WHERE purpose = 'replay'")
+    assert again == [{"status": "ok", "gpus": None}] * 2
+
+
+def test_a_slot_that_would_wait_for_a_gpu_holds_no_run(tmp_path: Path) -> None:
+    root = project(tmp_path, "[limits]\ngpus = 1\n")
+    projects.run(root, "population_size=1,2,4", "--jobs", "8")
+    assert projects.sql(root, "SELECT max(slot) AS slot FROM executions") == [{"slot": 1}]
 
 
 @pytest.mark.parametrize("listed", ["0,1", "all", 0, -1, True, 0.5, [], [0, 0], ["../0"], [-1], ["0,1"], [True]])

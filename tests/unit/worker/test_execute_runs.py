@@ -144,6 +144,19 @@ def test_runs_that_request_gpus_get_their_own_or_are_refused(
     assert (status, "request 2 GPUs each ([limits] gpus), but this machine has 1 GPU (1)" in printed) == (3, True), printed
 
 
+def test_without_a_gpu_runs_that_request_one_execute_without_and_it_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    prints = {**LINE, "argv": ["sh", "-c", "echo ${CUDA_VISIBLE_DEVICES-none} > seen"]}
+    prints["outputs"] = {"seen": hashlib.sha256(b"none\n").hexdigest()}
+    shares = made(tmp_path / "x", prints, limits={"gpus": 0.5})
+    (shares / "project").mkdir()
+    monkeypatch.setattr(gpus, "of_this_machine", lambda environment: gpus.Gpus("CUDA_VISIBLE_DEVICES", ()))
+    status, printed = said(capsys, shares, tmp_path / "work", "--yes")
+    assert (status, "1 identical" in printed) == (0, True), printed
+    assert "note: [limits] gpus = 0.5 is not heeded: this machine has no GPU, so the runs get none" in printed
+
+
 @pytest.fixture(scope="module")
 def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An extracted package whose runs use an ignored program, a file beside the input, a command before, and a clock."""

@@ -23,9 +23,11 @@ from typing import Any
 import pytest
 
 from sierra.util import worker_zip
+from sierra.worker import checkpoints
 from sierra.worker import temporary_folders as folders
 from sierra.worker.devices import DEVICES, devices, with_own_devices
 from sierra.worker.files import check_room
+from sierra.worker.job import CONDUCTED
 from sierra.worker.journal import Journal
 from sierra.worker.processes import cpu_of, number_in, stat_of
 from sierra.worker.program import PROGRAM
@@ -54,9 +56,9 @@ def python(code: str, **more: Any) -> dict[str, Any]:
     return job(sys.executable, "-I", "-S", "-c", code, **more)
 
 
-def shell(code: str, **more: Any) -> dict[str, Any]:
-    """Return a job that executes a shell script."""
-    return job("/bin/sh", "-c", code, **more)
+def shell(code: str, *, words: tuple[str, ...] = (), **more: Any) -> dict[str, Any]:
+    """Return a job that executes a shell script, with these words as `$1` and so on."""
+    return job("/bin/sh", "-c", code, *(("sh", *words) if words else ()), **more)
 
 
 class Worker:
@@ -203,6 +205,52 @@ def test_a_run_leaves_no_temporary_files_and_nobody_else_can_read_them(
 def test_temporary_files_count_for_the_limit_of_outputs(temporary: Path, execute: Callable[..., dict[str, Any]]) -> None:
     end = execute(shell('head -c 300000 /dev/zero > "$TMPDIR/big"; sleep 1000', limits={"output_bytes": 100_000}))
     assert end["stopped"] == "output"
+
+
+FULL = """
+import os, runpy, sys
+real, full = os.statvfs, os.statvfs_result([4096] * 4 + [0] * 6)
+os.statvfs = lambda path: full if str(path).endswith("/files") else real(path)
+sys.argv = sys.argv[4:]
+sys.path.insert(0, sys.argv[0])
+runpy.run_path(sys.argv[0], run_name="__main__")
+"""
+
+
+def test_a_run_whose_checkpoint_has_no_space_left_is_not_recorded(start: Callable[..., Worker], tmp_path: Path) -> None:
+    worker = start(starter=(sys.executable, "-c", FULL))
+    worker.send(job("true", checkpoints.TEXT, checkpoint=str(tmp_path / "kept")))
+    assert worker.finish() == 4
+    assert worker.events("end") == []
+    assert "No space left on device" in worker.said()
+
+
+def test_programs_around_a_run_hold_the_lock_of_its_checkpoint(execute: Callable[..., dict[str, Any]], tmp_path: Path) -> None:
+    find = ["sh", "-c", "readlink /proc/$$/fd/* | grep -c kept/mark || true"]
+    plan = {"services": [], "before": [find], "argv": [*find, checkpoints.TEXT], "after": [], "success": [0], "grace": 5.0}
+    end = execute(job(CONDUCTED, json.dumps(plan), checkpoint=str(tmp_path / "kept")))
+    assert stdout(end) == "1\n"
+
+
+@pytest.mark.integration
+def test_a_run_waits_for_its_checkpoint_and_says_if_it_does_not_get_it(start: Callable[..., Worker], tmp_path: Path) -> None:
+    kept = str(tmp_path / "kept")
+    first, second, third = start(), start(folder=tmp_path / "second"), start(folder=tmp_path / "third")
+    first.send(
+        shell('echo 1 > "$1/state"; until [ -e ../../go ]; do sleep 0.02; done', words=(checkpoints.TEXT,), checkpoint=kept)
+    )
+    until(lambda: Path(kept, "files/state").exists())
+    third.send(shell("ls -A $1", words=(checkpoints.TEXT,), checkpoint=kept, limits={"grace_s": 0.1}))
+    assert third.finish() == 0
+    [said] = third.events("stalled")
+    assert said["unkept"] == "another execution of the run still uses it"
+    assert stdout(third.events("end")[0]) == ""
+    second.send(shell("ls -A $1", words=(checkpoints.TEXT,), checkpoint=kept, limits={"grace_s": 1000}))
+    until(lambda: (second.folder / "journal.jsonl").exists())
+    (first.folder / "go").touch()
+    assert (first.finish(), second.finish()) == (0, 0)
+    assert stdout(second.events("end")[0]) == "state\n"
+    assert second.events("stalled") == []
 
 
 def test_a_tmpdir_that_the_job_names_stays_as_it_is(execute: Callable[..., dict[str, Any]]) -> None:
