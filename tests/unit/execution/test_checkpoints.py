@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
@@ -219,6 +220,8 @@ def test_inputs_name_the_placeholder(tmp_path: Path) -> None:
     assert '"folder": "{checkpoint}"' in inputs.read_text()
     command = json.loads((inputs.parent / "command.json").read_text())
     assert command["argv"][-1] == command["environment"]["KEPT"] == "{checkpoint}"
+    executed = subprocess.run(["sh", "execute.sh", "0/1"], cwd=root / "in", capture_output=True, text=True, check=False)
+    assert (executed.returncode, "no command.sh; a run with ports, a checkpoint," in executed.stderr) == (1, True)
 
 
 def test_a_variable_of_that_name_keeps_its_meaning(tmp_path: Path) -> None:
