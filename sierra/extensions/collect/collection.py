@@ -253,9 +253,7 @@ class _Examined:
 
     def _compare(self) -> None:
         """Refuse the runs whose input files or commands differ from the plan's, and those whose outputs cannot be read."""
-        for run, files in self._plan.inputs.files(
-            self._plan.batch, lambda run: (run.experiment, run.number) in self._folders
-        ):
+        for run, files in self._plan.inputs.files(self._plan.batch, lambda run: (run.experiment, run.number) in self._folders):
             known = self._folders.get((run.experiment, run.number))
             if known is None:
                 continue
@@ -306,7 +304,7 @@ def _executing(project: Project, plan: Plan, observer: Observer, *, trust: bool)
 
 
 def _recorded(store: Store, plan: Plan, ended: Mapping[str, EndedRun]) -> dict[str, str]:
-    """Return the status of those executions that are recorded, as they were evaluated last, by the present rules if possible."""
+    """Return the status of those executions that are recorded, by the last evaluation, or by that of the present rules."""
     executions = [run.execution for run in ended.values()]
     with store.snapshot() as snapshot:
         snapshot.views.make(("all_judgements",))

@@ -446,7 +446,7 @@ sys.exit(3)
 
 @pytest.fixture
 def executing(tmp_path: Path) -> Iterator[Path]:
-    """Yield a project of which a session executes the only run, which fails when there is a file `go`; it has ended elsewhere."""
+    """Yield a project of which a session executes the only run, until there is a file `go`; it has also ended elsewhere."""
     project = make(tmp_path / "project", simulator=WAITS)
     query = ("population_size=1", "--runs", "1")
     assert quick(project, "run", *query, "--inputs", "../inputs").returncode == 0
