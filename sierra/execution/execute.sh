@@ -8,9 +8,16 @@
 # Each run is executed in its folder `output`, with its declared variables, PATH, and the devices that a scheduler has allotted.
 # Its folder then has `stdout` and `stderr`, and at last `ended.json`: the exit status, the times, and the machine. A run that has
 # `ended.json` is left out. The exit status is 0 if all requested runs have ended, however they did.
+#
+# A run that another process executes is left out, too: there is a folder such as `runs/0/.3.running` meanwhile.
 set -u
 again=
 code=0
+lock=
+trap 'unlock' EXIT
+trap 'exit 129' HUP
+trap 'exit 130' INT
+trap 'exit 143' TERM
 
 usage() {
     echo "usage: sh execute.sh [--again] runs/EXPERIMENT/NUMBER... | INDEX/COUNT" >&2
@@ -30,12 +37,66 @@ give_up() {
     code=1
 }
 
+unlock() {
+    if [ -n "$lock" ]; then
+        rm -rf "$lock"
+        lock=
+    fi
+}
+
+# Lock a run: make the folder `$2`. One that a killed process of this machine has left is taken over.
+lock() {
+    if mkdir "$2" 2>/dev/null; then
+        lock=$2
+    elif [ ! -d "$2" ]; then
+        give_up "cannot write to ${1%/*}"
+        return 1
+    elif is_left "$2" && mkdir "$2/taken" 2>/dev/null; then
+        if is_left "$2"; then
+            lock=$2
+        else
+            rmdir "$2/taken"
+        fi
+    fi
+    if [ -z "$lock" ]; then
+        give_up "$1: $(cat "$2/owner" 2>/dev/null || echo another process) executes it; if nothing does any more, remove $2"
+        return 1
+    fi
+    if ! echo "process $$ on $(uname -n)" >"$lock/owner"; then
+        give_up "cannot write to ${1%/*}"
+        unlock
+        return 1
+    fi
+    [ ! -d "$lock/taken" ] || rmdir "$lock/taken"
+}
+
+# Check that the process that has made a lock is gone. Only its own machine can tell.
+is_left() {
+    owner=$(cat "$1/owner" 2>/dev/null) || return 1
+    case $owner in
+    "process "[1-9]*" on $(uname -n)") ;;
+    *) return 1 ;;
+    esac
+    pid=${owner#process }
+    pid=${pid%% *}
+    [ "$pid" = $$ ] || { ! kill -0 "$pid" 2>/dev/null && [ ! -d "/proc/$pid" ]; }
+}
+
 execute() {
     if [ -f "$1/ended.json" ] && [ -z "$again" ]; then
         return
     fi
+    lock "$1" "${1%/*}/.${1##*/}.running" || return 0
+    execute_locked "$1"
+    unlock
+}
+
+execute_locked() {
+    if [ -f "$1/ended.json" ] && [ -z "$again" ]; then
+        return
+    fi
     if [ ! -f "$1/command.sh" ]; then
-        give_up "$1 has no command.sh; a run with ports, robots or programs around it must be executed in another way"
+        give_up "$1 has no command.sh; a run with ports, a checkpoint, robots or programs around it must be executed in another way"
         return
     fi
     id=$(sed -n 's/^# run \([0-9a-f]*\)$/\1/p' "$1/command.sh" | head -n 1)

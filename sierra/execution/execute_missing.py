@@ -58,7 +58,7 @@ class RunState(StrEnum):
     CLAIMED = "claimed"
     """This session evaluates its recorded executions again or executes it."""
     SKIPPED = "skipped"
-    """A person has left it out of the supervised trials."""
+    """A person has left it out of the supervised trials, or the runner has left it out."""
     REEVALUATED = "reevaluated"
     """Its recorded execution was evaluated again by changed rules."""
     REJECTED = "rejected"
@@ -275,6 +275,7 @@ class Executor:
             experiments={run.experiment for run in plan.batch.runs if run.id in wanted},
         )
         self.fail(self._counter.failed)
+        self._set(followed.left_out, RunState.SKIPPED)
         self.notes += followed.notes
         self.left += [self.session.paths] if followed.left else []
         cancelled = self.session.paths.cancelled.exists() and not self._is_enough()

@@ -42,6 +42,8 @@ class Followed:
     inconsistent: set[str]
     """Runs with an execution, new or old, that is inconsistent with other executions."""
     notes: tuple[str, ...]
+    left_out: tuple[str, ...] = ()
+    """Runs that the runner has left out."""
 
 
 def follow(
@@ -70,7 +72,8 @@ def follow(
         if complete:
             inconsistent = find_inconsistent(store, session.paths, recorder.context, recorder.lost, final=runner.stays)
             inconsistent |= recorder.find_astray()
-        return Followed(follower.left, bool(signals) and not detach, inconsistent, tuple(recorder.notes()))
+        interrupted = bool(signals) and not detach
+        return Followed(follower.left, interrupted, inconsistent, tuple(recorder.notes()), tuple(follower.left_out))
 
 
 class Executed(NamedTuple):
@@ -91,6 +94,7 @@ class _Follower:
         self._counter = counter
         self.left = False
         """True if the runs were left to continue without this process."""
+        self.left_out: list[str] = []
         self._submitted = self._over = False
 
     def begin(self, work: Work | None) -> None:
@@ -161,6 +165,7 @@ class _Follower:
             status = self._recorder.add(result)
             if status is not Status.INTERRUPTED:
                 self._counter.ended(result.run, status)
+        self.left_out += look.left_out
         self._recorder.add_rows(look.rows, look.copies)
         self._recorder.add_late(look.late)
         for text in look.notes:

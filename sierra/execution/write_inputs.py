@@ -6,8 +6,8 @@ DIR/execute.sh                  executes runs by a POSIX shell, and leaves `ende
 DIR/runs/<experiment>/<number>/ a run: its input files, `command.json`, the same as `command.sh`, and the empty folder `output`
 
 A run on robots has a folder for each place (`robot2`), which has that robot's input files, `command.json` and `output`.
-`execute.sh` cannot execute it. It cannot execute a run with ports or with programs around its command either: such runs have no
-`command.sh`.
+`execute.sh` cannot execute it. It cannot execute a run with ports, a checkpoint or programs around its command either: such
+runs have no `command.sh`.
 
 A command is to be started in the folder `output`, as SIERRA does, and its paths of the run are relative to that folder, also in
 input files: `{input}` is `../input.xml`, `{output}` is `.`, and `{run}` is `..`. All is written beside DIR first and then

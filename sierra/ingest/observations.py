@@ -16,6 +16,7 @@ from sierra.util.lazy_definitions import dataclass
 from sierra.worker.layout import OBSERVED
 
 WRITTEN = "written"
+CONTINUED = "it continued from a checkpoint, and the execution that wrote it may have used other files"
 
 
 class _Observed(TypedDict):
@@ -70,8 +71,9 @@ def observed(result: Result) -> Observed | None:
     files = [(recorded_name(name), use, sha256, size) for name, use, sha256, size in record["files"]]
     identity = file_set(files)
     lists = (list(map(recorded_name, texts)) for texts in (record["notes"], record["distributions"]))
+    reason = record["reason"] or (CONTINUED if result.resumed else None)
     return Observed(
-        ObservationRow(result.execution, identity, record["method"], record["reason"], *lists),
+        ObservationRow(result.execution, identity, record["method"], reason, *lists),
         tuple(FileReadRow(identity, *file) for file in files),
         tuple(ListingRow(sha256, list(map(recorded_name, names))) for sha256, names in record.get("listings", {}).items()),
         tuple(FileWrittenRow(result.execution, recorded_name(name), use) for name, use in record["written"]),

@@ -99,6 +99,8 @@ class Look:
     """The error that ended the session while runs are missing. The caller raises it. Submitting again would not help."""
     beats: tuple[Beat, ...] = ()
     """The last signs of life of the robots that execute runs now."""
+    left_out: tuple[str, ...] = ()
+    """Runs that cannot execute. They have no result, and are not submitted again in this session."""
     ready: bool = False
     """True while a run is prepared and waits until it may begin: see `Holds`."""
     watched: bool = False

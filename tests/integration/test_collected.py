@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from tests.projects import CONFIG, make, quick, run, sql, start, values
+from tests.waiting import until
 
 pytestmark = pytest.mark.integration
 QUERY = ("population_size=1,2", "--runs", "2")
@@ -209,3 +210,69 @@ def test_devices_that_a_scheduler_has_allotted_arrive(tmp_path: Path) -> None:
     seen = (folder / "runs/0/0/output/seen").read_text()
     assert [name for name in DEVICES if f"'{name}': '0, {name}'" not in seen] == []
     assert "OTHER" not in seen
+
+
+WAITS = """
+import pathlib, sys, time
+go = pathlib.Path(__file__).parent.parent / "go"
+print("begun", flush=True)
+while not go.exists():
+    time.sleep(0.01)
+open("out.csv", "w").write("a\\n1\\n")
+"""
+
+
+@pytest.fixture
+def waiting(tmp_path: Path) -> Path:
+    """Return the folder of two runs that end when there is a file `go` beside it."""
+    return written(make(tmp_path / "project", simulator=WAITS), "population_size=1,2", "--runs", "1")
+
+
+def begin(folder: Path, shell: str = "sh") -> subprocess.Popen[str]:
+    """Begin to execute all runs of a folder, in a process group of their own; return when the first one has begun."""
+    words = [*shell.split(), "execute.sh", "0/1"]
+    shell_process = subprocess.Popen(words, cwd=folder, env=NODE, text=True, start_new_session=True)
+    log = folder / "runs/0/0/stdout"
+    until(lambda: log.exists() and log.read_text() == "begun\n")
+    return shell_process
+
+
+def marks(folder: Path) -> list[str]:
+    return [str(path.relative_to(folder)) for path in folder.glob("runs/*/.*")]
+
+
+def test_a_run_that_another_process_executes_is_left_out_and_stays_whole(waiting: Path) -> None:
+    first = begin(waiting)
+    (waiting / "runs/0/0/output/kept").write_text("kept")
+    second = execute(waiting, "--again", "runs/0/0")
+    assert second.returncode == 1
+    assert f"execute.sh: runs/0/0: process {first.pid} on " in second.stderr
+    assert "executes it; if nothing does any more, remove runs/0/.0.running\n" in second.stderr
+    (waiting.parent / "go").touch()
+    assert first.wait() == 0
+    assert (waiting / "runs/0/0/output/kept").exists()
+    assert (ended(waiting), marks(waiting)) == (["runs/0/0", "runs/1/0"], [])
+
+
+def test_a_run_whose_process_was_killed_is_executed_again(waiting: Path) -> None:
+    first = begin(waiting)
+    os.killpg(first.pid, signal.SIGKILL)
+    first.wait()
+    assert marks(waiting) == ["runs/0/.0.running"]
+    (waiting.parent / "go").touch()
+    done = execute(waiting, "0/1")
+    assert (done.returncode, done.stderr, marks(waiting)) == (0, "", [])
+    assert ended(waiting) == ["runs/0/0", "runs/1/0"]
+
+
+@pytest.mark.parametrize("shell", ["dash", "bash", "busybox sh"])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_run_is_not_recorded_as_ended_and_no_other_begins(
+    shell: str, number: signal.Signals, waiting: Path
+) -> None:
+    if shutil.which(shell.split()[0]) is None:
+        pytest.skip(f"{shell} is not installed")
+    process = begin(waiting, shell)
+    os.killpg(process.pid, number)
+    assert process.wait() == 128 + number
+    assert (ended(waiting), marks(waiting), (waiting / "runs/1/0/stdout").exists()) == ([], [], False)

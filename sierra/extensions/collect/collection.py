@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator, Mapping
+from collections.abc import Set as AbstractSet
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,27 +21,34 @@ from sierra.config.extensions import giving
 from sierra.containers import engines
 from sierra.design.query import query_request
 from sierra.design.query.query_request import RequestFile
-from sierra.errors import Missing, SierraError, UsageError
-from sierra.execution import execute, shared_files
+from sierra.errors import Damaged, Missing, SierraError, UsageError
+from sierra.execution import execute, recover, reuse, sessions, shared_files
 from sierra.execution.observer import Observer
 from sierra.execution.plan import Plan, context, session_step
 from sierra.execution.run_options import RunOptions
 from sierra.execution.summary import Summary
 from sierra.execution.write_inputs import ENDED, PLACES, REQUEST, command_builder, own_places, run_files, run_folder
-from sierra.extensions.collect.folder import Ended, Refused, files_left, has_ended, read, read_ended
+from sierra.extensions.collect.folder import Ended, Refused, files_left, has_ended, logs_left, read, read_ended
 from sierra.extensions.collect.runner import NAME, EndedRun, Source, execution_of
+from sierra.ingest.recording_context import Context
+from sierra.provenance.change_guard import ChangeGuard
 from sierra.provenance.dependency_model import Kind, Program, Programs
+from sierra.store.layout import SessionPaths
 from sierra.store.row_types import SharedFileRow
 from sierra.store.store import Store
 from sierra.util.hashing import sha256, short
 from sierra.util.lazy_definitions import dataclass, replace
-from sierra.util.text import size
+from sierra.util.text import counted, size
 
 MOST_REQUEST = 1 << 20
 """The size of `batch.json`, at most."""
 ELSEWHERE = Programs((Program("programs of another system", "", "unknown", Kind.DISTRIBUTIONS),))
 """The programs of executions that are not trusted. This kind is not taken for a file of this machine."""
-GOOD = "SELECT execution, status FROM executions WHERE list_contains($e, execution)"
+STATUSES = """
+SELECT execution, arg_max(status, (ingest_rules = $rules, place, judgement)) AS status
+FROM all_judgements WHERE list_contains($e, execution) GROUP BY execution
+"""
+ELSEWHERE_NOW = "another session has executed the run meanwhile; collect it again"
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,37 +90,80 @@ def collect(
     _check(plan)
     rows = _beside(plan, project.stored())
     examined = _Examined(root, plan, places, rows)
-    executing = _executing(project, plan, observer, trust=trust)
-    rules = context(executing).ingest_rules
-    ended = {
-        run: EndedRun(name, record, execution_of(run, record, executing.programs.id, rules))
-        for run, (name, record) in examined.ended.items()
-    }
-    stored = project.stored()
-    before = _recorded(stored, ended) if stored else {}
-    new = {run: record for run, record in ended.items() if record.execution not in before}
-    summary = None
-    if ended:
-        beside = frozenset(row.name for row in rows)
-        source = Source(root, new, beside, _statuses(plan), plan.batch.spec.image, plan.environment._asdict())
-        options = RunOptions(1, NAME, only=frozenset(new), observer=observer, retry=True)
-        store = Store.create(project.paths.store)
-        with giving(source):
-            summary = described(project, execute.run(executing, store, options))
+    beside = frozenset(row.name for row in rows)
+    source = Source(root, beside, _statuses(plan), plan.batch.spec.image, plan.environment._asdict())
+    summary, known, failed = None, 0, 0
+    if examined.ended:
+        executing = _executing(project, plan, observer, trust=trust)
+        summary, known, failed = _record(project, executing, examined.ended, source, observer)
         summary = drawn(project, summary) if figures else summary
-        before = _recorded(store, ended)
     return Collection(
         folder,
         plan.batch.id,
         examined.runs,
-        len(ended),
-        len(ended) - len(new),
-        sum(status not in ("ok", "accepted") for status in before.values()),
+        examined.right - len(source.refused),
+        known,
+        failed,
         tuple(examined.waiting),
-        examined.refused,
+        {**examined.refused, **source.refused},
         summary,
         tuple(_notes(plan)),
     )
+
+
+def _record(
+    project: Project, plan: Plan, folders: Mapping[str, tuple[str, Ended]], source: Source, observer: Observer
+) -> tuple[Summary, int, int]:
+    """Record the runs in these folders; return the summary, the number of those recorded before, and of unsuccessful ones.
+
+    Those that could not be recorded are refused in `source`. Raises Missing if another session executes them.
+    """
+    store = Store.create(project.paths.store)
+    recover.finish_dead(store, observer)
+    ended = _executions(plan, store, folders)
+    known = _recorded(store, plan, ended)
+    source.runs.update({run: record for run, record in ended.items() if record.execution not in known})
+    new = source.runs.keys() | ()
+    _check_sessions(store, new, plan)
+    options = RunOptions(1, NAME, only=ended.keys(), observer=observer, retry=True)
+    with giving(source):
+        summary = described(project, execute.run(plan, store, options))
+    recorded = _recorded(store, plan, ended)
+    now = reuse.states(plan, store)
+    for run in sorted(new) if not summary.interrupted else ():
+        if ended[run].execution not in recorded and not now[run].succeeded:
+            source.refused.setdefault(ended[run].folder, ELSEWHERE_NOW)
+    return summary, len(known), sum(status not in ("ok", "accepted") for status in recorded.values())
+
+
+def _executions(plan: Plan, store: Store, folders: Mapping[str, tuple[str, Ended]]) -> dict[str, EndedRun]:
+    """Return the runs to record, by id. An execution that the present rules cannot evaluate again is recorded once more."""
+    programs, rules = plan.programs.id, context(plan).ingest_rules
+    ended = {run: EndedRun(name, record, execution_of(run, record, programs)) for run, (name, record) in folders.items()}
+    known = _recorded(store, plan, ended)
+    states = reuse.foreseen(plan, store, reuse.states(plan, store)) if known else {}
+    return {
+        run: replace(record, execution=execution_of(run, record.record, programs, rules))
+        if record.execution in known and states[run].lack
+        else record
+        for run, record in ended.items()
+    }
+
+
+def _check_sessions(store: Store, runs: AbstractSet[str], plan: Plan) -> None:
+    """Raise Missing if a session executes some of these runs, so that collecting would wait for it, or even take it over."""
+    for paths in sessions.all_of(store.paths):
+        shared = sessions.claims(paths) & runs
+        if shared and (paths.submission.exists() or _programs(paths) not in ("", plan.programs.id)):
+            holder = f"{sessions.holder(paths)} (session {paths.root.name})"
+            raise Missing(f"{holder} executes {counted(len(shared), 'run')} of this folder; collect when it has ended")
+
+
+def _programs(paths: SessionPaths) -> str:
+    """Return the programs that a session executes; nothing if it has not begun to."""
+    with contextlib.suppress(FileNotFoundError, Damaged):
+        return Context.load(paths.context).programs
+    return ""
 
 
 def _request(root: Path) -> tuple[RequestFile, Mapping[str, str]]:
@@ -175,7 +226,11 @@ class _Examined:
         self.waiting: list[str] = []
         self.refused: dict[str, str] = {}
         self.ended: dict[str, tuple[str, Ended]] = {}
-        """The folder and the record of each run, by id."""
+        """The folder and the record of each run, by id. Of a run that the batch has twice, it is the first that is right."""
+        self.right = 0
+        """Number of folders that are right."""
+        self._folders: dict[tuple[int, int], tuple[str, Ended]] = {}
+        """The folders with the records, by experiment and number."""
         self._find_ended()
         self._compare()
 
@@ -192,14 +247,14 @@ class _Examined:
                 record = read_ended(self._root, name)
                 if record.run != run.id:
                     raise Refused(f"{ENDED} is of run {short(record.run)!r}, and this is the folder of run {short(run.id)}")
-                self.ended.setdefault(run.id, (name, record))
+                self._folders[run.experiment, run.number] = name, record
             except Refused as error:
                 self.refused[name] = str(error)
 
     def _compare(self) -> None:
         """Refuse the runs whose input files or commands differ from the plan's, and those whose outputs cannot be read."""
-        for run, files in self._plan.inputs.files(self._plan.batch, lambda run: run.id in self.ended):
-            known = self.ended.get(run.id)
+        for run, files in self._plan.inputs.files(self._plan.batch, lambda run: (run.experiment, run.number) in self._folders):
+            known = self._folders.get((run.experiment, run.number))
             if known is None:
                 continue
             try:
@@ -207,7 +262,9 @@ class _Examined:
                 self._measure(known[0])
             except Refused as error:
                 self.refused[known[0]] = str(error)
-                del self.ended[run.id]
+                continue
+            self.right += 1
+            self.ended.setdefault(run.id, known)
 
     def _compare_run(self, folder: str, expected: Mapping[str, bytes]) -> None:
         for name, content in expected.items():
@@ -228,6 +285,8 @@ class _Examined:
         most, left = self._plan.limits.output_bytes, 0
         for _, file in files_left(self._root, folder):
             left += file.seek(0, 2) if file else 0
+        for _ in logs_left(self._root, folder):
+            pass
         if most is not None and left > most:
             raise Refused(f"its outputs have {size(left)}, more than output in [limits] allows")
 
@@ -240,12 +299,16 @@ def _executing(project: Project, plan: Plan, observer: Observer, *, trust: bool)
     settings = {"observe": "none"} if trust else {"observe": "none", "requires": ()}
     loaded = replace(plan.project, config=plan.project.config.model_copy(update=settings))
     plan = replace(plan, project=loaded, engine=engines.find("none"), image=None, checkout=None)
+    plan = replace(plan, seen=ChangeGuard({}, b""))  # whatever changes here now, the runs ended before, and elsewhere
     return plan if trust else replace(plan, programs=ELSEWHERE, build=None, lacking="")
 
 
-def _recorded(store: Store, ended: Mapping[str, EndedRun]) -> dict[str, str]:
-    """Return the status of those executions that are recorded."""
-    return dict(store.select(_Recorded, GOOD, e=[run.execution for run in ended.values()]))
+def _recorded(store: Store, plan: Plan, ended: Mapping[str, EndedRun]) -> dict[str, str]:
+    """Return the status of those executions that are recorded, by the last evaluation, or by that of the present rules."""
+    executions = [run.execution for run in ended.values()]
+    with store.snapshot() as snapshot:
+        snapshot.views.make(("all_judgements",))
+        return dict(snapshot.select(_Recorded, STATUSES, e=executions, rules=context(plan).ingest_rules))
 
 
 def _statuses(plan: Plan) -> frozenset[int]:

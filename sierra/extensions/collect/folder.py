@@ -25,7 +25,7 @@ from pathlib import Path, PurePosixPath
 from typing import BinaryIO
 
 from sierra.execution.write_inputs import ENDED
-from sierra.store.layout import RUN_OUTPUT
+from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT
 from sierra.util.hashing import sha256
 from sierra.util.json_types import JsonView
 from sierra.util.lazy_definitions import dataclass
@@ -118,6 +118,18 @@ def files_left(root: Path, run: str) -> Iterator[tuple[str, BinaryIO | None]]:
                         yield relative, file
     except (OSError, RecursionError) as error:
         raise Refused(f"its outputs cannot be read: {explain(error)}") from error
+
+
+def logs_left(root: Path, run: str) -> Iterator[tuple[str, BinaryIO]]:
+    """Yield the names of the logs of a run, each with the open file, as `files_left`. Raises Refused if one cannot be read."""
+    for name in (RUN_STDOUT, RUN_STDERR):
+        try:
+            with opened(root, run) as folder, open_file(folder, name) as file:
+                yield name, file
+        except FileNotFoundError:
+            pass
+        except OSError as error:
+            raise Refused(f"{name} cannot be read: {error.strerror}") from error
 
 
 def _raise(error: OSError) -> None:

@@ -7,6 +7,7 @@ of each copy says that nobody has observed which files the run used.
 from __future__ import annotations
 
 import contextlib
+import errno
 import itertools
 import json
 import os
@@ -18,19 +19,20 @@ from typing import BinaryIO, ClassVar
 from sierra.config.extensions import given
 from sierra.config.field_types import Table
 from sierra.config.plugin_registry import NoOptions
-from sierra.errors import ConfigError, Missing
+from sierra.errors import ConfigError
 from sierra.execution.write_inputs import COMMAND, ENDED, SCRIPT
-from sierra.extensions.collect.folder import Ended, Refused, files_left, open_file, opened, read_ended
+from sierra.extensions.collect.folder import Ended, Refused, files_left, logs_left, read_ended
 from sierra.model import Job, OutputFile, Result
 from sierra.provenance import environment
 from sierra.runners.base import Look, Work
-from sierra.store.layout import RUN_OUTPUT, RUN_STDERR, RUN_STDOUT, SessionPaths
+from sierra.store.layout import RUN_OUTPUT, SessionPaths
 from sierra.store.row_types import EnvironmentRow, IsolationRow
 from sierra.store.segments import disk_errors
 from sierra.util.fs import inside
 from sierra.util.hashing import digest
 from sierra.util.json_types import RecordValue
 from sierra.util.lazy_definitions import dataclass, field
+from sierra.util.shortage import PASSING
 from sierra.worker.layout import OBSERVED
 from sierra.worker.outputs import MOST_NAMED, described, list_files, written_elsewhere
 
@@ -41,6 +43,8 @@ UNKNOWN = "unknown"
 LOOK_S = 0.5
 """The seconds after which a look reports what it has copied."""
 CHUNK = 1 << 20
+ALL_MEET = PASSING | {errno.EROFS}
+"""Errors of the system that have nothing to do with the run that is copied."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,8 +63,6 @@ class Source:
     """The folder from which runs are collected."""
 
     folder: Path
-    runs: Mapping[str, EndedRun]
-    """The runs to collect, by id."""
     beside: frozenset[str]
     """The names of the files that lie beside the inputs of all runs."""
     statuses: frozenset[int]
@@ -69,8 +71,10 @@ class Source:
     """The id of the image for which the commands are; None without an image."""
     around: Mapping[str, RecordValue]
     """The environment of this process."""
-    taken: set[str] = field(default_factory=set)
-    """The runs that were collected: nothing can execute them once more."""
+    runs: dict[str, EndedRun] = field(default_factory=dict)
+    """The runs to collect, by id. Each is taken out when it is collected: nothing can execute it once more."""
+    refused: dict[str, str] = field(default_factory=dict)
+    """The folders of those that could not be collected, each with the reason."""
 
 
 class Collected:
@@ -104,19 +108,21 @@ class Collected:
     def look(self) -> Look:
         results: list[Result] = []
         rows: list[tuple[str, Mapping[str, RecordValue]]] = []
-        wrong = None
+        left_out: list[str] = []
         until = time.monotonic() + LOOK_S
         while self._alive and time.monotonic() < until:
             job = next(self._jobs, None)
             if job is None:
                 self._alive = False
-            elif job.run not in self._source.taken and (run := self._source.runs.get(job.run)) is not None:
-                self._source.taken.add(job.run)
+            elif (run := self._source.runs.pop(job.run, None)) is None:
+                left_out.append(job.run)
+            else:
                 try:
                     results.append(self._collected(job, run, rows))
                 except Refused as error:
-                    self._alive, wrong = False, Missing(f"{self._source.folder / run.folder}: {error}; collect it again")
-        return Look(tuple(results), 0, alive=self._alive, rows=tuple(rows), wrong=wrong)
+                    left_out.append(job.run)
+                    self._source.refused[run.folder] = str(error)
+        return Look(tuple(results), 0, alive=self._alive, rows=tuple(rows), left_out=tuple(left_out))
 
     def stop(self) -> None:
         self._alive = False
@@ -133,7 +139,7 @@ class Collected:
             others = _copy_run(source.folder, run.folder, directory)
             (directory / OBSERVED).write_text(json.dumps(_OBSERVED))
         if read_ended(source.folder, run.folder) != record:
-            raise Refused("it was executed again while it was collected")
+            raise Refused("it was executed again while it was collected; collect it again")
         row = environment_of(record, source.around)
         rows.append(("environments", row))
         isolation = isolation_of(source.image) if source.image is not None else None
@@ -163,20 +169,26 @@ class Collected:
 
 
 def _copy_run(root: Path, run: str, directory: Path) -> list[str]:
-    """Copy the outputs and logs of a run; return the other entries of its folder for outputs. Raises Refused."""
+    """Copy the outputs and logs of a run; return the other entries of its folder for outputs. Raises Refused.
+
+    Raises OSError only for errors that another run would meet too.
+    """
     outputs, others = directory / RUN_OUTPUT, []
-    outputs.mkdir()
-    for name, file in files_left(root, run):
-        if file is None:
-            others.append(name)
-            continue
-        copy = inside(outputs, name)
-        copy.parent.mkdir(parents=True, exist_ok=True)
-        _copy(file, copy)
-    with opened(root, run) as folder:
-        for log in (RUN_STDOUT, RUN_STDERR):
-            with contextlib.suppress(FileNotFoundError), open_file(folder, log) as file:
-                _copy(file, directory / log)
+    try:
+        outputs.mkdir()
+        for name, file in files_left(root, run):
+            if file is None:
+                others.append(name)
+                continue
+            copy = inside(outputs, name)
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            _copy(file, copy)
+        for log, file in logs_left(root, run):
+            _copy(file, directory / log)
+    except OSError as error:
+        if error.errno in ALL_MEET:
+            raise
+        raise Refused(f"its files cannot be copied: {error.strerror}") from error
     return others
 
 
@@ -188,7 +200,7 @@ def _copy(file: BinaryIO, target: Path) -> None:
             copied += copy.write(chunk)
     after = os.fstat(file.fileno())
     if copied != before.st_size or (after.st_mtime_ns, after.st_ctime_ns) != (before.st_mtime_ns, before.st_ctime_ns):
-        raise Refused(f"{target.name} changed while it was read")
+        raise Refused(f"{target.name} changed while it was read; collect it again")
 
 
 def _described(directory: Path) -> tuple[OutputFile, ...]:
@@ -236,6 +248,10 @@ def isolation_of(image: str) -> IsolationRow:
     return row._replace(isolation=digest("isolation", fields))
 
 
-def execution_of(run: str, record: Ended, programs: str, rules: str) -> str:
-    """Return the id of an execution: the same for the same record of its end, the same programs and the same rules."""
-    return digest("collected execution", {"run": run, "ended": record.sha256, "programs": programs, "rules": rules})
+def execution_of(run: str, record: Ended, programs: str, rules: str | None = None) -> str:
+    """Return the id of an execution: the same for the same record of its end and the same programs.
+
+    `rules`: it is recorded once more, because what is recorded of it cannot be evaluated by these rules.
+    """
+    by_rules = {} if rules is None else {"rules": rules}
+    return digest("collected execution", {"run": run, "ended": record.sha256, "programs": programs, **by_rules})

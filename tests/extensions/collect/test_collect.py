@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import shutil
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from sierra.containers import container_setup
+from sierra.extensions.collect import runner
 from sierra.extensions.collect.runner import isolation_of
-from tests.projects import CONFIG, make, quick, run, sql, values
+from tests.projects import CONFIG, make, quick, run, sql, start, values
+from tests.waiting import until
 
 QUERY = ("population_size=1,2", "--runs", "2")
 LIMITED = CONFIG + "[limits]\noutput = 1000000\n"
@@ -309,25 +313,171 @@ def test_other_commands_take_collected_executions(words: tuple[str, ...], projec
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.integration
-def test_a_run_that_changes_while_it_is_collected_ends_the_command(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from sierra.extensions.collect import runner
-
-    end(project)
+def meanwhile(monkeypatch: pytest.MonkeyPatch, name: str, act: Callable[[], object]) -> None:
+    """Let something happen before the run in this folder is copied."""
     copy = runner._copy_run
 
-    def changing(root: Path, run: str, directory: Path) -> list[str]:
-        if run == "runs/1/0":
-            end(project, run)
+    def acting(root: Path, run: str, directory: Path) -> list[str]:
+        if run == name:
+            act()
         return copy(root, run, directory)
 
-    monkeypatch.setattr(runner, "_copy_run", changing)
-    done = quick(project, "collect", "../inputs")
-    assert done.returncode == 3
-    assert "runs/1/0: it was executed again while it was collected; collect it again\n" in done.stderr
+    monkeypatch.setattr(runner, "_copy_run", acting)
+
+
+@pytest.mark.integration
+def test_a_run_that_changes_while_it_is_collected_is_refused_and_others_are_recorded(
+    project: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    end(project)
+    meanwhile(monkeypatch, "runs/0/1", lambda: end(project, "runs/0/1"))
+    answer = collect(project, code=1)
+    assert answer["collected"]["refused"] == {"runs/0/1": "it was executed again while it was collected; collect it again"}
+    assert (answer["executed"], answer["missing"], answer["collected"]["ended"]) == (3, 1, 3)
     monkeypatch.undo()
     collect(project)
     assert sql(project, "SELECT count(*) AS n, count(DISTINCT execution) AS d FROM executions") == [{"n": 4, "d": 4}]
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize("words", [(), ("--trust",)])
+def test_an_edit_of_the_code_while_runs_are_copied_fails_none(
+    words: tuple[str, ...], project: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    end(project)
+    code = project / "sim.py"
+    meanwhile(monkeypatch, "runs/0/1", lambda: code.write_text(code.read_text() + "# edited\n"))
+    answer = collect(project, *words)
+    assert (answer["executed"], answer["failed"], answer["collected"]["failed"]) == (4, 0, 0)
+
+
+def deep(run: Path) -> None:
+    """Make folders among the outputs whose path is longer than the system allows at once."""
+    folder = os.open(run / "output", os.O_DIRECTORY)
+    for _ in range(30):
+        os.mkdir("d" * 200, dir_fd=folder)
+        outer, folder = folder, os.open("d" * 200, os.O_DIRECTORY, dir_fd=folder)
+        os.close(outer)
+    os.close(os.open("file", os.O_WRONLY | os.O_CREAT, dir_fd=folder))
+    os.close(folder)
+
+
+def replaced(run: Path, name: str, make: Callable[[Path], object]) -> None:
+    (run / name).unlink()
+    make(run / name)
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize(
+    ("spoil", "reason"),
+    [
+        pytest.param(
+            lambda run: replaced(run, "stdout", lambda log: log.symlink_to("/etc/hostname")),
+            "stdout cannot be read: Too many levels of symbolic links",
+            id="link",
+        ),
+        pytest.param(
+            lambda run: replaced(run, "stdout", os.mkfifo), "stdout cannot be read: it is not a regular file", id="pipe"
+        ),
+        pytest.param(
+            lambda run: replaced(run, "stderr", Path.mkdir), "stderr cannot be read: it is not a regular file", id="folder"
+        ),
+        pytest.param(deep, "its files cannot be copied: File name too long", id="depth"),
+    ],
+)
+def test_a_run_with_an_odd_log_or_a_long_path_is_refused_and_others_are_recorded(
+    spoil: Callable[[Path], None], reason: str, project: Path
+) -> None:
+    end(project)
+    spoil(project.parent / "inputs/runs/0/0")
+    answer = collect(project, code=1)
+    assert (answer["executed"], answer["collected"]["refused"]) == (3, {"runs/0/0": reason})
+
+
+@pytest.mark.integration
+def test_changed_rules_evaluate_what_is_recorded_and_record_nothing_twice(project: Path) -> None:
+    end(project, "runs/0/0", "runs/0/1")
+    collect(project)
+    config = project / "sierra.toml"
+    before = config.read_text()
+    config.write_text(f"{before}[success]\nmarker = 'never printed'\n")
+    for _ in range(2):
+        answer = collect(project, code=1)
+        assert (answer["executed"], answer["collected"]["failed"], answer["collected"]["known"]) == (0, 2, 2)
+    config.write_text(before)
+    assert collect(project)["collected"]["failed"] == 0
+    assert sql(project, "SELECT count(*) AS n, count(DISTINCT execution) AS d FROM executions") == [{"n": 2, "d": 2}]
+
+
+@pytest.mark.integration
+def test_runs_that_changed_rules_cannot_evaluate_are_recorded_once_more(project: Path) -> None:
+    config = project / "sierra.toml"
+    config.write_text(f"{config.read_text()}[store]\nraw = false\n")
+    end(project, "runs/0/0")
+    collect(project)
+    config.write_text(config.read_text() + "[outputs.swarm]\nfile = 'swarm.csv'\nrequired = true\ntime = 'tick'\n")
+    answers = [collect(project), collect(project)]
+    assert [(answer["executed"], answer["collected"]["failed"]) for answer in answers] == [(1, 0), (0, 0)]
+
+
+@pytest.mark.integration
+def test_of_a_run_that_the_batch_has_twice_the_first_folder_that_is_right_counts(tmp_path: Path) -> None:
+    same = "label = 'one'\nchanges = [{ set = '//swarm/@count', value = 1 }]\n"
+    project = make(tmp_path / "project", f"{CONFIG}[scenarios.a]\n{same}[scenarios.b]\n{same}")
+    written = quick(project, "run", "scenario=a,b", "--runs", "1", "--inputs", "../inputs")
+    assert written.returncode == 0, written.stderr
+    assert list(rows(project)) == ["runs/0/0", "runs/1/0"]
+    end(project)
+    (project.parent / "inputs/runs/0/0/input.xml").write_text("<other/>")
+    answer = collect(project, code=1)["collected"]
+    assert (answer["runs"], answer["ended"], list(answer["refused"])) == (2, 1, ["runs/0/0"])
+    shutil.copy(tmp_path / "inputs/runs/1/0/input.xml", tmp_path / "inputs/runs/0/0")
+    answer = collect(project)["collected"]
+    assert (answer["runs"], answer["ended"], answer["refused"]) == (2, 2, {})
+    assert sql(project, "SELECT count(*) AS n FROM executions") == [{"n": 1}]
+
+
+WAITS = """import pathlib, sys, time
+while not (pathlib.Path(__file__).parent.parent / "go").exists():
+    time.sleep(0.01)
+sys.exit(3)
+"""
+
+
+@pytest.fixture
+def executing(tmp_path: Path) -> Iterator[Path]:
+    """Yield a project of which a session executes the only run, until there is a file `go`; it has also ended elsewhere."""
+    project = make(tmp_path / "project", simulator=WAITS)
+    query = ("population_size=1", "--runs", "1")
+    assert quick(project, "run", *query, "--inputs", "../inputs").returncode == 0
+    end(project)
+    session = start(project, "run", *query, "--no-figures")
+    try:
+        until(lambda: list(project.glob(".sierra/work/*/context.json")))
+        yield project
+    finally:
+        (tmp_path / "go").touch()
+        session.communicate()
+
+
+@pytest.mark.integration
+def test_runs_that_another_session_executes_are_not_collected(executing: Path) -> None:
+    done = quick(executing, "collect", "../inputs")
+    assert (done.returncode, done.stdout) == (3, "")
+    assert "executes 1 run of this folder; collect when it has ended\n" in done.stderr
+
+
+@pytest.mark.integration
+def test_a_run_that_another_session_has_executed_meanwhile_is_named(executing: Path) -> None:
+    """With --trust, that session executes the same programs, so that its executions count, and collecting waits for it."""
+    collecting = start(executing, "collect", "../inputs", "--trust", "--no-figures", "--json")
+    until(lambda: len(list(executing.glob(".sierra/work/*/claims.json"))) == 2)
+    (executing.parent / "go").touch()
+    out, err = collecting.communicate()
+    answer = json.loads(out)["collected"]
+    assert collecting.returncode == 1, err
+    assert (answer["ended"], list(answer["refused"])) == (0, ["runs/0/0"])
+    assert collect(executing, "--trust")["executed"] == 1
 
 
 def test_the_folder_may_be_a_link(project: Path) -> None:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import signal
+import subprocess
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 import sierra
 from sierra.execution import expected_durations
+from sierra.ingest.observations import CONTINUED
 from sierra.store.segments import Writer
 from sierra.store.store import Store
 from sierra.worker import checkpoints
@@ -97,6 +100,23 @@ def test_a_run_that_was_cut_off_continues_and_says_so(tmp_path: Path) -> None:
     assert steps(root) == [2]
     [row] = sql(root, "SELECT DISTINCT run FROM executions")
     assert folder.startswith(row["run"])
+
+
+@pytest.mark.integration
+def test_a_run_that_continued_is_not_reused_after_an_edit_of_a_file_that_only_its_beginning_read(
+    tmp_path: Path, require: Callable[..., str]
+) -> None:
+    require("strace")
+    root = make(tmp_path / "p", "kill", 0)
+    reading = "if step == 0:\n    (pathlib.Path(__file__).parent / 'map.txt').read_text()\n"
+    (root / "sim.py").write_text(SIMULATOR.replace("state.write_text", f"{reading}state.write_text"))
+    (root / "map.txt").write_text("wall")
+    assert tried(root) == "failed"
+    assert (tried(root), resumed(root)) == ("ok", ["ok"])
+    observed = "SELECT method, o.reason FROM observations o JOIN executions e USING (execution) WHERE status = 'ok'"
+    (root / "map.txt").write_text("door")
+    assert "1 of 1 run would execute" in quick(root, "run", *ONE, "--dry-run").stdout
+    assert sql(root, observed) == [{"method": "strace", "reason": CONTINUED}]
 
 
 @pytest.mark.integration
@@ -277,6 +297,8 @@ def test_inputs_name_the_placeholder(tmp_path: Path) -> None:
     assert '"folder": "{checkpoint}"' in inputs.read_text()
     command = json.loads((inputs.parent / "command.json").read_text())
     assert command["argv"][-1] == command["environment"]["KEPT"] == "{checkpoint}"
+    executed = subprocess.run(["sh", "execute.sh", "0/1"], cwd=root / "in", capture_output=True, text=True, check=False)
+    assert (executed.returncode, "no command.sh; a run with ports, a checkpoint," in executed.stderr) == (1, True)
 
 
 def test_a_variable_of_that_name_keeps_its_meaning(tmp_path: Path) -> None:
