@@ -150,7 +150,7 @@ def test_a_run_that_a_shell_cannot_execute_is_reported(tmp_path: Path) -> None:
     assert done.returncode == 1
     assert done.stderr == (
         "execute.sh: runs/0/0 has no command.sh; "
-        "a run with ports, robots or programs around it must be executed in another way\n"
+        "a run with ports, a checkpoint, robots or programs around it must be executed in another way\n"
     )
     assert not (folder / "runs/0/0/command.sh").exists()
 
