@@ -588,9 +588,10 @@ def clusters(folder: Path, *more: str) -> None:
 
 
 def links(folder: Path) -> None:
-    """Measure commands on robots, and copies from them, over SSH."""
+    """Measure commands on hosts and robots, copies from them, and batches in a lab, over SSH."""
     subprocess.run([sys.executable, str(HERE / "bench_links.py")], check=True)
     subprocess.run([sys.executable, str(HERE / "bench_robots.py")], check=True)
+    subprocess.run([sys.executable, str(HERE / "bench_lab.py")], check=True)
 
 
 def large_clusters(folder: Path) -> None:
