@@ -41,7 +41,7 @@ from sierra.runners.cluster.preflight_job import Preflight
 from sierra.runners.cluster.shard import deal, deal_first, deal_rest, deal_sized
 from sierra.runners.cluster.sizing import Size, Timing, elements_of, note_on_gpus, size, slots_of, timing
 from sierra.runners.cluster.submission_record import Sent, Submission
-from sierra.runners.schedulers.base import Bounds, Carries, NodeVariables, State, Task
+from sierra.runners.schedulers.base import Carries, NodeVariables, Scheduler, State, Task
 from sierra.store.layout import SessionPaths
 from sierra.store.segments import disk_errors
 from sierra.util import worker_zip
@@ -75,14 +75,19 @@ class Cluster:
         self.name = name
         self._kind = scheduler
         self._table = table
-        self._scheduler = schedulers.find(scheduler)(table)
+        self._use(schedulers.find(scheduler)(table))
         self._opened = contextlib.ExitStack()
         self._batch = BatchState(())
 
+    def _use(self, scheduler: Scheduler) -> None:
+        self._scheduler = scheduler
+        self._carrier = scheduler if isinstance(scheduler, Carries) else None
+        """The same scheduler, if it carries files to its hosts."""
+
     def submit(self, work: Work, session: SessionPaths) -> None:
         bounds, version = self._scheduler.bounds(), self._scheduler.version()
-        if isinstance(self._scheduler, Carries):
-            self._submit_carried(self._scheduler, work, session, version)
+        if self._carrier:
+            self._submit_carried(self._carrier, work, session, version)
             return
         sized = size(work.count, work.times, self._table, bounds, waits=work.waits, gpus=work.gpus)
         estimated = self._table.wall is None and sized.wall_s is not None
@@ -120,10 +125,8 @@ class Cluster:
             counts = tuple(scheduler.sizes([each[number] for number in order]))
             deal_sized((replace(job, checkpoint=None) for job in work.jobs), order, counts, session)
             self._write_programs(work, session)
-        table = self._table.model_dump(mode="json")
-        mean = work.times.mean if work.times else None
-        dealt = (work.batch, counts, dict(work.around), False, 0)
-        submission = Submission(self.name, self._kind, version, table, *dealt, Bounds(), rest_s=mean, past=past)
+        own = (self.name, self._kind, version, self._table.model_dump(mode="json"), work.batch, counts, dict(work.around))
+        submission = Submission(*own, rest_s=work.times.mean if work.times else None, past=past)
         submission.save(session)
         self._begin(submission, session, {})
         self._is_own = True
@@ -155,7 +158,7 @@ class Cluster:
     def _settings(self, work: Work, session: SessionPaths) -> dict[str, object]:
         return {
             "session": session.root.name,
-            "slots": 1 if isinstance(self._scheduler, Carries) else slots_of(self._table, work.gpus),
+            "slots": 1 if self._carrier else slots_of(self._table, work.gpus),
             "scratch": self._table.scratch,
             "needs": [asdict(one) for one in work.needs],
             "record": list(work.record),
@@ -166,11 +169,11 @@ class Cluster:
     def resume(self, session: SessionPaths, recorded: Mapping[str, str | None]) -> None:
         submission = Submission.load(session)
         self._table = submission.cluster
-        self._scheduler = schedulers.find(self._kind)(self._table)
+        self._use(schedulers.find(self._kind)(self._table))
         self._begin(submission, session, recorded)
-        if isinstance(self._scheduler, Carries):
-            self._opened.callback(self._disconnect, self._scheduler)
-            self._scheduler.open(session, None, follows=True)
+        if self._carrier:
+            self._opened.callback(self._disconnect, self._carrier)
+            self._carrier.open(session, None, follows=True)
         if not session.worker.exists():  # another version of SIERRA has submitted it, with programs of other names
             write_whole(session.worker, worker_zip.packed())
         with self._ending_on_error():
@@ -207,8 +210,8 @@ class Cluster:
     def leave(self) -> None:
         if self._stopping is not None or self._session.cancelled.exists():
             return
-        if isinstance(self._scheduler, Carries):
-            self._scheduler.leave()
+        if self._carrier:
+            self._carrier.leave()
             return
         if self._is_own:
             self._note(submission_record.UNFOLLOWED)
@@ -239,9 +242,8 @@ class Cluster:
                 refresh(self._session.results)
                 for known, more in zip((results, copies), self._read(), strict=True):
                     known += more
-        if isinstance(self._scheduler, Carries):
-            for note in self._scheduler.notes():
-                self._note(note)
+        for note in self._carrier.notes() if self._carrier else ():
+            self._note(note)
         notes, self._notes = tuple(self._notes), []
         rows, collector.rows = collector.rows, []
         batch = self._batch
@@ -322,7 +324,8 @@ class Cluster:
 
     def _answer(self, tasks: Sequence[Task]) -> Answer:
         """Return these tasks with what else is known now. The results of the session's earlier submissions are recorded."""
-        self._forgive()
+        if self._carrier:
+            self._collector.forgive(self._carrier.blameless())
         now, shares = time.monotonic(), dict(enumerate(self._batch.shares))
         last = submission_record.last(self._session, (task for task in tasks if task.state is State.ENDED))
         evidence = {
@@ -333,11 +336,6 @@ class Cluster:
         pairs = [(task, submission_record.elements(self._session, [task]) & shares.keys()) for task in tasks]
         ended = [(index, task) for index, task in last if index in shares]
         return Answer(pairs, ended, evidence, now, self._scheduler.forgets, self._wall_is_longest())
-
-    def _forgive(self) -> None:
-        """Count the runs in flight of tasks that ended through no fault of theirs as not begun."""
-        if isinstance(self._scheduler, Carries):
-            self._collector.forgive(self._scheduler.blameless())
 
     def _wall_is_longest(self) -> bool:
         """Return whether elements that are submitted again get no more time."""
@@ -460,8 +458,8 @@ class Cluster:
         return wall
 
     def _connect(self) -> None:
-        if not isinstance(self._scheduler, Carries):
-            self._scheduler = schedulers.find(self._kind)(self._table)
+        if not self._carrier:
+            self._use(schedulers.find(self._kind)(self._table))
         self._query: threading.Thread | None = None
         self._answers: list[tuple[str, tuple[Task, ...] | None]] = []
 
