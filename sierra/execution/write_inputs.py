@@ -133,8 +133,8 @@ def run_folder(batch: Batch, run: Run) -> str:
 
 
 def _write_run(folder: Path, job: Job, plan: Plan) -> None:
-    for place in (".", *(f"robot{member.place}" for member in job.members)):
-        (folder / place / RUN_OUTPUT).mkdir(parents=True)
+    for part in (".", *(f"robot{member.place}" for member in job.members)):
+        (folder / part / RUN_OUTPUT).mkdir(parents=True)
     for name, content in run_files(job, plan).items():
         path = inside(folder, name)
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -36,7 +36,7 @@ MOST_FILES = 10000
 BUSY = "another execution of the run still uses it"
 UNLOCKED = "it cannot be locked there"
 MOST_TRIES = 10
-"""How often a lock is requested whose file another process removes meanwhile."""
+"""The most requests for a lock whose file another process removes meanwhile."""
 
 
 @contextlib.contextmanager

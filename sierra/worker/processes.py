@@ -48,6 +48,11 @@ def read_proc(path: str) -> bytes:
         return b""
 
 
+def boot_id() -> str:
+    """Return the name that the kernel has given to this boot."""
+    return read_proc("sys/kernel/random/boot_id").decode().strip()
+
+
 def children(process: int | str, task: int | str) -> list[int]:
     return [int(word) for word in read_proc("%s/task/%s/children" % (process, task)).split()]
 

@@ -17,6 +17,11 @@ LENGTH = 24
 """The number of characters of a hash in a folder's name."""
 
 
+def has_python(link: Link, python: str) -> bool:
+    """Return whether a host has Python 3.8 or newer as the command `python`."""
+    return link.run((python, "-c", "import sys; sys.exit(sys.version_info < (3, 8))")).status == 0
+
+
 def content_name(folder: Path) -> str:
     """Return a name for the content of a folder, or of a file: paths, bytes, and which files may be executed."""
     content = hashlib.sha256()

@@ -9,6 +9,7 @@ import os
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 from pydantic_core import to_json
 
@@ -50,23 +51,27 @@ def settings(session: SessionPaths, paths: Paths) -> bytes:
     return to_json(paths.there(json.loads(session.element_settings.read_bytes())))
 
 
-def common_job(session: SessionPaths, index: int) -> Mapping[str, JsonView]:
-    """Return what all jobs of an element have in common. Raises Damaged."""
+def records(session: SessionPaths, index: int) -> Iterator[Any]:
+    """Yield the records in the file with the jobs of an element: see `sierra.worker.element_jobs`. Raises Damaged."""
     try:
         with gzip.open(session.jobs(index), "rb") as lines:
-            common: Mapping[str, JsonView] = json.loads(next(lines))["common"]
-            return common
-    except (OSError, EOFError, ValueError, LookupError, StopIteration) as error:
+            yield from map(json.loads, lines)
+    except (OSError, EOFError, ValueError) as error:
         raise Damaged(f"{session.jobs(index)}: cannot be read: {error}") from error
+
+
+def common_job(session: SessionPaths, index: int) -> Mapping[str, JsonView]:
+    """Return what all jobs of an element have in common. Raises Damaged."""
+    for record in records(session, index):
+        if "common" in record:
+            common: Mapping[str, JsonView] = record["common"]
+            return common
+    raise Damaged(f"{session.jobs(index)}: contains no jobs")
 
 
 def jobs(session: SessionPaths, index: int, paths: Paths) -> bytes:
     """Return the file with the jobs of an element for a host. Raises Damaged."""
-    try:
-        with gzip.open(session.jobs(index), "rb") as lines:
-            text = b"".join(ENCODER.encode(paths.there(json.loads(line))).encode() + b"\n" for line in lines)
-    except (OSError, EOFError, ValueError) as error:
-        raise Damaged(f"{session.jobs(index)}: cannot be read: {error}") from error
+    text = b"".join(ENCODER.encode(paths.there(record)).encode() + b"\n" for record in records(session, index))
     return gzip.compress(text, LEVEL, mtime=0)
 
 
@@ -114,16 +119,13 @@ class ResultLogs:
         """Append what a host has sent. Raises Missing if the disk is full, and Damaged for a part of another place."""
         if at != self._sizes.get(name, 0):
             raise Damaged(f"{name}: {len(data)} bytes come for byte {at}, and not for {self._sizes.get(name, 0)}")
-        with disk_errors(self._folder):
-            descriptor = os.open(self._folder / name, os.O_CREAT | os.O_WRONLY | os.O_CLOEXEC, 0o666)
-            try:
-                view, end = memoryview(data), at
-                while view:
-                    written = os.pwrite(descriptor, view, end)
-                    view, end = view[written:], end + written
-            finally:
-                os.close(descriptor)
-        self._sizes[name] = end
+        with (
+            disk_errors(self._folder),
+            os.fdopen(os.open(self._folder / name, os.O_CREAT | os.O_WRONLY | os.O_CLOEXEC, 0o666), "wb") as file,
+        ):
+            file.seek(at)  # an earlier attempt may have written a part
+            file.write(data)
+        self._sizes[name] = at + len(data)
 
     def cut(self, name: str, size: int) -> None:
         """Cut a log off, because its host has removed an incomplete record."""

@@ -16,7 +16,7 @@ from typing import Any
 from sierra.config.plugin_registry import LINKS
 from sierra.errors import Missing, SierraError
 from sierra.extensions.hosts.clock import Clock, measured
-from sierra.extensions.hosts.push import content_name, push_content, push_programs
+from sierra.extensions.hosts.push import content_name, has_python, push_content, push_programs
 from sierra.extensions.lab import agent
 from sierra.extensions.lab.agent import front, host_folder
 from sierra.extensions.lab.agent.host_folder import Record
@@ -34,7 +34,6 @@ AGAIN_S, LATER_S = 1.0, 30.0
 """The shortest and longest pause before a lost connection is made again."""
 LONGEST_LINE = 16 << 20
 LONGEST_PART = 16 << 20
-OLD_PYTHON = "import sys; sys.exit(sys.version_info < (3, 8))"
 FRONT = front.__name__
 
 
@@ -161,7 +160,7 @@ class HostConnection:
     def _prepare(self) -> str:
         """Copy what the session needs to the host, unless it is there; return the folder of the programs."""
         link, root = self._link, self._table.folder.removeprefix("~/")
-        if link.run((self._table.python, "-c", OLD_PYTHON)).status != 0:
+        if not has_python(link, self._table.python):
             raise Unusable(f"{self.name}: needs Python 3.8 or newer as {self._table.python!r}; set python in the lab's table")
         programs = push_programs(link, root, Path(agent.__file__).parent)
         home = link.run(("pwd",)).stdout.decode(errors="replace").rstrip("\n")

@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 
 from sierra.errors import Missing
-from sierra.extensions.hosts.push import push_programs
+from sierra.extensions.hosts.push import has_python, push_programs
 from sierra.extensions.robots import agent as programs_of_agent
 from sierra.extensions.robots.agent.records import AGENT
 from sierra.extensions.robots.agent_link import LOCK, AgentLink
@@ -18,7 +18,6 @@ from sierra.worker import program
 
 HELLO_S = 120.0
 """The seconds in which an agent that has the robot must have executed its setup line, the stop command and a first program."""
-OLD_PYTHON = "import sys; sys.exit(sys.version_info < (3, 8))"
 
 
 def start(agent: AgentLink, robot: RobotTable, table: FleetTable, session: str, store: str) -> Record:
@@ -27,7 +26,7 @@ def start(agent: AgentLink, robot: RobotTable, table: FleetTable, session: str, 
     `session` is shown to others who want the robot. `store` is the id of the store for which robots keep files.
     """
     python, root = table.python, table.folder.removeprefix("~/")
-    if agent.link.run((python, "-c", OLD_PYTHON)).status != 0:
+    if not has_python(agent.link, python):
         raise Missing(f"{agent.name}: needs Python 3.8 or newer as {python!r}; set python in [runners.robots]")
     programs = push_programs(agent.link, root, Path(programs_of_agent.__file__).parent)
     agent.start((python, "-I", "-S", "-B", f"{programs}/{program.NAME}", AGENT, root, LOCK))

@@ -27,7 +27,7 @@ import re
 import time
 from typing import Any, Dict
 
-from sierra.worker.processes import birth, read_proc
+from sierra.worker.processes import birth, boot_id
 
 ENTRY = re.compile(r"[0-9]{1,9}\.[0-9]{1,9}")
 FILE = re.compile(r"element\.json|worker\.pyz|engine/[A-Za-z0-9_-][A-Za-z0-9_.-]*|elements/[0-9]{1,9}\.(jobs|failed|alone)")
@@ -42,11 +42,6 @@ Record = Dict[str, Any]
 def now() -> float:
     """Return the seconds since boot, in which a suspended host also counts."""
     return time.clock_gettime(time.CLOCK_BOOTTIME)
-
-
-def boot_id() -> str:
-    """Return the name that the kernel has given to this boot."""
-    return read_proc("sys/kernel/random/boot_id").decode().strip()
 
 
 def make(folder: str) -> None:

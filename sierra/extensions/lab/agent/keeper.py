@@ -23,7 +23,7 @@ from sierra.extensions.lab.agent.host_folder import CLAIMED, ENDED, LOGS, QUEUE,
 from sierra.worker import gpus, program
 from sierra.worker.devices import DEVICES
 from sierra.worker.files import unlink
-from sierra.worker.processes import birth, marked
+from sierra.worker.processes import birth, boot_id, marked
 
 BUSY_S, IDLE_S = 0.05, 0.5
 ENTRY = "SIERRA_LAB_ENTRY"
@@ -180,7 +180,7 @@ class Keeper:
         return "%s=%s/%s" % (ENTRY, self._folder, entry)
 
     def _note_start(self, entry: str, pid: int) -> None:
-        record = {"pid": pid, "born": birth(pid), "boot": host_folder.boot_id()}
+        record = {"pid": pid, "born": birth(pid), "boot": boot_id()}
         host_folder.write_record(self._path(RUNNING, entry), record)
 
     def _end(self, entry: str) -> None:
@@ -198,7 +198,7 @@ class Keeper:
                 continue
             process = host_folder.read_record(self._path(RUNNING, entry))
             if not host_folder.is_alive(process):
-                reason = LOST if process.get("boot") == host_folder.boot_id() else REBOOTED
+                reason = LOST if process.get("boot") == boot_id() else REBOOTED
                 self._note_end(entry, None, reason)
                 unlink(self._path(RUNNING, entry))
 

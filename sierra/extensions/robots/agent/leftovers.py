@@ -10,12 +10,12 @@ import select
 import signal
 import time
 
-from sierra.extensions.robots.agent.processes import LOOK_S, SETTLE_S, Forked, boot_id, is_running, keep_open, kill_all
+from sierra.extensions.robots.agent.processes import LOOK_S, SETTLE_S, Forked, is_running, keep_open, kill_all
 from sierra.extensions.robots.agent.records import Record, read_record
 from sierra.extensions.robots.agent.standstill import Standstill
 from sierra.worker.containers import end_container
 from sierra.worker.files import entries_of, write_all
-from sierra.worker.processes import marked, read_proc
+from sierra.worker.processes import boot_id, marked, read_proc
 
 FIRST = "1"  # the folder in which a worker executes its only run
 PROCESS, ENDED = "process.json", "ended.json"

@@ -8,7 +8,7 @@ import signal
 import subprocess
 from typing import Callable
 
-from sierra.worker.processes import birth, descendants, is_ending, read_proc, signal_group, signal_process, stat_of
+from sierra.worker.processes import birth, descendants, is_ending, signal_group, signal_process, stat_of
 
 LOOK_S = 0.1  # between two looks at a run, and at the clocks
 SETTLE_S = 3.0  # after the grace time, for a worker to end what it has killed, and to hash the outputs of others
@@ -77,8 +77,3 @@ def output_of(process: subprocess.Popen[bytes]) -> int:
 
 def ending(status: int) -> str:
     return "signal %d" % -status if status < 0 else "status %d" % status
-
-
-def boot_id() -> str:
-    """Return the name that the kernel has given to this boot."""
-    return read_proc("sys/kernel/random/boot_id").decode().strip()

@@ -70,7 +70,7 @@ from typing import Any, Callable, Mapping, Sequence
 from sierra.extensions.robots.agent.clock_watch import ClockWatch
 from sierra.extensions.robots.agent.condition import Condition
 from sierra.extensions.robots.agent.leftovers import ENDED, Guard, end_leftovers
-from sierra.extensions.robots.agent.processes import LOOK_S, TAIL_BYTES, Forked, boot_id, ending, keep_open
+from sierra.extensions.robots.agent.processes import LOOK_S, TAIL_BYTES, Forked, ending, keep_open
 from sierra.extensions.robots.agent.records import Record, Refused, write_whole
 from sierra.extensions.robots.agent.run import WORKER, Run, WorkerProcess, become_worker
 from sierra.extensions.robots.agent.software import Looker
@@ -80,7 +80,7 @@ from sierra.worker.containers import end_container
 from sierra.worker.errors import explain
 from sierra.worker.files import remove, size_of
 from sierra.worker.journal import BEGUN, READY
-from sierra.worker.processes import adopt_orphans
+from sierra.worker.processes import adopt_orphans, boot_id
 
 SILENT_S = 1.0  # for a holder of the lock that says nothing, because it is ending
 

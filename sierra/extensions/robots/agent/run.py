@@ -15,7 +15,6 @@ from sierra.extensions.robots.agent.leftovers import FIRST, PROCESS
 from sierra.extensions.robots.agent.processes import (
     SETTLE_S,
     TAIL_BYTES,
-    boot_id,
     end_process,
     ending,
     is_running,
@@ -30,7 +29,7 @@ from sierra.worker.errors import explain
 from sierra.worker.files import last_line_of
 from sierra.worker.job import with_folder
 from sierra.worker.journal import BEGUN, ENDING, GONE, OVER
-from sierra.worker.processes import birth, descendants, orphans, release, stat_of, stdin_of
+from sierra.worker.processes import birth, boot_id, descendants, orphans, release, stat_of, stdin_of
 from sierra.worker.worker import FULL, execute
 
 WORKER = "worker"  # the only argument of a worker
