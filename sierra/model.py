@@ -489,6 +489,8 @@ class Limits:
     """The text that the marker contains when it is met; None if it only needs to exist."""
     gpus: float | None = None
     """The GPUs that a run holds while it executes: a whole number, or its share of one. None: it requests none."""
+    cores: int | None = None
+    """The cores that a run holds while it executes. None: one."""
 
 
 @dataclass(frozen=True, slots=True)

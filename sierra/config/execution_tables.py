@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field, PositiveInt, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, InstanceOf, PositiveInt, WithJsonSchema, model_validator
 
 from sierra.config.field_types import (
     OF_WALL,
@@ -58,20 +58,35 @@ def _whole_or_share(gpus: float) -> float:
     return gpus
 
 
-class OwnLimits(Table):
-    """Limits of one execution. A missing limit means no limit."""
+class Varying(str):
+    """A limit that depends on the variables of a query: a text with expressions in braces, as in the values of changes."""
 
-    wall: Annotated[Positive | None, OF_WALL] = None
-    cpu: Positive | None = Field(None, description="CPU time of all its processes, in seconds")
-    memory: Size | None = Field(None, description="resident memory of all its processes, in bytes or as in `2 GiB`")
-    output: Size | None = Field(
+    __slots__ = ()
+
+
+OfVariables = Annotated[
+    InstanceOf[Varying],
+    BeforeValidator(lambda value: Varying(value) if isinstance(value, str) and "{" in value else value),
+    WithJsonSchema({"type": "string", "pattern": r"\{"}),
+]
+
+
+class OwnLimits(Table):
+    """Limits of one execution, each of which may depend on variables (`"{population_size * 4} MiB"`); missing: no limit."""
+
+    wall: Annotated[Positive | OfVariables | None, OF_WALL] = None
+    cpu: Positive | OfVariables | None = Field(None, description="CPU time of all its processes, in seconds")
+    memory: Size | OfVariables | None = Field(
+        None, description="resident memory of all its processes, in bytes or as in `2 GiB`"
+    )
+    output: Size | OfVariables | None = Field(
         None,
         description="total size of the files in its folder, in bytes or as in `500 MB`; holes of sparse files are included",
     )
 
 
 class LimitsTable(OwnLimits):
-    """Limits of one execution; a missing limit means no limit."""
+    """Limits of one execution, each of which may depend on variables (`"{population_size * 4} MiB"`); missing: no limit."""
 
     grace: Grace = 5.0
     after_marker: NotNegative | None = Field(
@@ -79,7 +94,12 @@ class LimitsTable(OwnLimits):
         description="time from the moment when the marker of `[success]` is met until the run is ended and counts, in seconds, "
         "for a program that does not end by itself; default: a run is never ended for its marker",
     )
-    gpus: Annotated[Positive, AfterValidator(_whole_or_share)] | None = Field(
+    cores: Positive | OfVariables | None = Field(
+        None,
+        description="cores that a run holds while it executes, rounded up: as many runs execute at a time as cores suffice "
+        "for; default: one",
+    )
+    gpus: Annotated[Positive, AfterValidator(_whole_or_share)] | OfVariables | None = Field(
         None,
         description="GPUs that a run holds while it executes, a whole number or a share of one such as `0.25`; as many runs "
         "execute at a time as GPUs suffice for; default: runs are given no GPU of their own",

@@ -82,7 +82,7 @@ def _with_notes(error: ConfigError, texts: Iterable[str]) -> ConfigError:
 def _independent(error: ValidationError, table: object) -> Iterator[ErrorDetails]:
     """Yield one error for each invalid key, in the order of the file, without those that follow from an error inside of it.
 
-    A key that may have several types has an error for each of them.
+    A key that may have several types has an error for each of them, with the type as the last part of its place.
     """
     errors: dict[tuple[int | str, ...], tuple[list[int], ErrorDetails]] = {}
     for each in error.errors():
@@ -90,7 +90,8 @@ def _independent(error: ValidationError, table: object) -> Iterator[ErrorDetails
         errors.setdefault(key, (position, each))
     outer = {key[:length] for key in errors for length in range(len(key))}
     inner = [errors[key] for key in errors if key not in outer]
-    yield from (each for _, each in sorted(inner, key=itemgetter(0)))
+    for _, each in sorted(inner, key=itemgetter(0)):
+        yield each if each["loc"][-1:] == ("[key]",) else {**each, "loc": _located(table, each)[0]}
 
 
 def _located(table: object, error: ErrorDetails) -> tuple[tuple[int | str, ...], list[int]]:

@@ -19,7 +19,6 @@ import re
 import shutil
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
@@ -45,7 +44,8 @@ from sierra.design.platforms.base import Platform
 from sierra.design.run_values import Declared
 from sierra.errors import ConfigError, QueryError
 from sierra.execution.build_products import matches
-from sierra.model import ARCH_ON_ROBOT, BASE, FOLDER, IN_PROJECT, ON_ROBOT, Client, Job, Limits, Member, Run, RunSpec, Service
+from sierra.execution.run_limits import RunLimits
+from sierra.model import ARCH_ON_ROBOT, BASE, FOLDER, IN_PROJECT, ON_ROBOT, Client, Job, Member, Run, RunSpec, Service
 from sierra.provenance import pythons
 from sierra.store.layout import RUN_HOME, RUN_OUTPUT, RUN_TMP
 from sierra.templates.arithmetic import CHOSEN
@@ -376,15 +376,6 @@ def arguments(files: Files) -> tuple[str, ...]:
     return tuple(json.loads(content))
 
 
-def limits(project: Project) -> Limits:
-    """Return the limits of each execution."""
-    table, success = project.limits, project.success
-    bounds = Limits(table.wall, table.cpu, table.memory, table.output, table.grace, gpus=table.gpus)
-    if table.after_marker is None:
-        return bounds
-    return replace(bounds, after_marker_s=table.after_marker, marker=success.marker, contains=success.contains or None)
-
-
 def execution_id(session: str, run: str, attempt: int = 0) -> str:
     """Return the id of the execution of a run by a session, which may execute it several times: `attempt` counts from 0."""
     again = {"attempt": str(attempt)} if attempt else {}
@@ -399,7 +390,7 @@ class CommandBuilder:
         spec: RunSpec,
         root: Path,
         engine: Engine,
-        bounds: Limits,
+        limits: RunLimits,
         session: str,
         project: Path | None = None,
         *,
@@ -434,7 +425,7 @@ class CommandBuilder:
         self._spec = spec
         self._root = root
         self._engine = engine
-        self._bounds = bounds
+        self._limits = limits
         self._box = box
         self._programs = programs
         self._here = RUN if box and not box.shared else HERE
@@ -459,7 +450,7 @@ class CommandBuilder:
         if not (box or self._on_robots):  # a robot has a PATH of its own
             self._environment["PATH"] = search_path(self._environment)
         if allots and (box is None or box.gpu):
-            self._environment |= requested(self._environment, bounds.gpus)
+            self._environment |= requested(self._environment, limits.most.gpus)
         self._search = self._environment["PATH"] if stays and not box else None
         self._beside = beside
         self._shared = self._container() if box and box.shared else None
@@ -472,7 +463,7 @@ class CommandBuilder:
         own = {"SIERRA_RUN_ID": run.id, "SIERRA_SEED": seed, "SIERRA_EXECUTION": execution}
         if self._on_robots:
             members = tuple(self._members(files, seed, own))
-            return Job(run.id, execution, (), {}, files, self._bounds, members=members)
+            return Job(run.id, execution, (), {}, files, self._limits.of(run.experiment), members=members)
         given = run_values.read(files)
         values = self._values(files, seed, given.values)
         argv = self._argv(self._spec.command, files, values, alike=not given.values)
@@ -489,7 +480,7 @@ class CommandBuilder:
             argv,
             variables,
             files,
-            self._bounds,
+            self._limits.of(run.experiment),
             client,
             shared=self._shared is not None,
             folders=folders,
@@ -590,7 +581,7 @@ class CommandBuilder:
             timeout = self._timeouts.get(spec.name, READY_S)
             return {"name": spec.name, "argv": words(spec.command, own), "ready": (kind, *test), "timeout": timeout}
 
-        around = self._spec.around
+        around, limits = self._spec.around, self._limits.most
         plan: conductor.Plan = {
             "shared": [service(spec) for spec in around.services if spec.shared],
             "observed": self._observed,
@@ -599,13 +590,12 @@ class CommandBuilder:
             "argv": argv,
             "after": [words(given) for given in around.after],
             "success": self._success,
-            "grace": self._bounds.grace_s,
+            "grace": limits.grace_s,
         }
         if self._accept:
             plan["accept"] = self._accept
-        if self._bounds.after_marker_s is not None:
-            bounds = self._bounds
-            plan["marker"] = {"after_marker_s": bounds.after_marker_s, "marker": bounds.marker, "contains": bounds.contains}
+        if limits.after_marker_s is not None:
+            plan["marker"] = {"after_marker_s": limits.after_marker_s, "marker": limits.marker, "contains": limits.contains}
         return (CONDUCTED, json.dumps(plan))
 
     def _fill(self, words: Iterable[str], values: Mapping[str, str] | None = None) -> tuple[str, ...]:

@@ -16,9 +16,10 @@ from sierra.errors import Missing
 from sierra.execution import commands
 from sierra.execution.build.state import BuildState
 from sierra.execution.checkout import Checkout
+from sierra.execution.run_limits import RunLimits
 from sierra.ingest.base import Used
 from sierra.ingest.recording_context import Context
-from sierra.model import IN_PROJECT, Batch, Limits, Purpose, Query, Run
+from sierra.model import IN_PROJECT, Batch, Purpose, Query, Run
 from sierra.provenance import reported_versions, source
 from sierra.provenance.change_guard import ChangeGuard
 from sierra.provenance.dependency_model import Programs
@@ -59,7 +60,7 @@ class Plan:
     engine: Engine
     image: AnyImage | None
     """Image that runs execute in."""
-    limits: Limits
+    limits: RunLimits
     template_sha256: str
     outputs: Mapping[str, Output]
     success: Success

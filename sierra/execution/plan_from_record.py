@@ -22,7 +22,7 @@ from sierra.containers.images.image import AnyImage, Image, ImageVariants
 from sierra.containers.images.image_contents import Contents
 from sierra.design.query.query_request import repeated
 from sierra.errors import Damaged, Missing, NotFound, UsageError
-from sierra.execution import commands, row_queries, targets
+from sierra.execution import row_queries, run_limits, targets
 from sierra.execution.build import recorded as recorded_build
 from sierra.execution.build.recorded import RecordedBuild
 from sierra.execution.checkout import Checkout
@@ -308,7 +308,7 @@ def plan(project: LoadedProject, store: Store, prefix: str, *, contained: str | 
         environment=this_environment(project.config),
         engine=engine(store, named.id, recalled.spec, contained, project.config.engines, hosted=False),
         image=image(project, store, recalled.spec),
-        limits=commands.limits(project.config),
+        limits=run_limits.of_experiments(project.config, batch.experiments),
         template_sha256=row.template_sha256,
         outputs=recalled.outputs,
         success=recalled.success,

@@ -23,7 +23,17 @@ from sierra.design.factorial_design import GROUPED, PlanningProgress, design, ig
 from sierra.design.query import grammar
 from sierra.design.query.query_request import QueryRequest
 from sierra.errors import ConfigError, Missing
-from sierra.execution import around, commands, input_texts, members, plan_notes, project_source, resolve_query, shared_files
+from sierra.execution import (
+    around,
+    commands,
+    input_texts,
+    members,
+    plan_notes,
+    project_source,
+    resolve_query,
+    run_limits,
+    shared_files,
+)
 from sierra.execution.build import recipe as build_recipe
 from sierra.execution.build.state import BuildState, compare_products
 from sierra.execution.checkout import Checkout, programs_in
@@ -203,7 +213,7 @@ def _plan(project: LoadedProject, request: QueryRequest, engine: str | None, rep
         environment=this_environment(config),
         engine=contained,
         image=image,
-        limits=commands.limits(config),
+        limits=run_limits.of_experiments(config, batch.experiments),
         template_sha256=template.sha256,
         outputs=outputs,
         success=config.success,

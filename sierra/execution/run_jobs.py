@@ -25,6 +25,7 @@ from sierra.execution.observation import choose_runs
 from sierra.execution.observation.plan_files import folders
 from sierra.execution.observer import ProgressCounter
 from sierra.execution.project_source import not_in_checkouts
+from sierra.execution.run_limits import RunLimits
 from sierra.execution.sessions import Session
 from sierra.ingest.changed_files import Doubt
 from sierra.ingest.observations import recorded_name
@@ -55,7 +56,7 @@ class Setup:
     spec: RunSpec
     engine: Engine
     image: AnyImage | None
-    limits: Limits
+    limits: RunLimits
     root: Path
     """Folder of the code."""
     environment: EnvironmentRow
@@ -70,7 +71,7 @@ class JobService:
 
         `stays`: they execute on a cluster. `images`: the store that has the files of images, if it is not `store`.
         """
-        _check_gpus(setup)
+        _check_resources(setup)
         self._setup = setup
         self._store = store
         self._session = session
@@ -89,7 +90,7 @@ class JobService:
             self._image,
             setup.spec,
             setup.project.config.container,
-            setup.limits,
+            setup.limits.of_containers,
             code=setup.root,
             project=setup.project.root,
             store=images or store.paths,
@@ -108,7 +109,14 @@ class JobService:
         given = container or Container(image=setup.image.name)
         root = setup.project.root
         return on_hosts.contain(
-            setup.engine, setup.image, setup.spec, given, setup.limits, root=root, store=store, session=self._session.id
+            setup.engine,
+            setup.image,
+            setup.spec,
+            given,
+            setup.limits.of_containers,
+            root=root,
+            store=store,
+            session=self._session.id,
         )
 
     def _shared_files(self) -> Sequence[SharedFileRow]:
@@ -189,8 +197,9 @@ class JobService:
             ownership_marks.identity(self._store.paths),
             self._hosts,
             self.isolation.files,
-            self._setup.limits.gpus,
+            self._setup.limits.most.gpus,
             self._setup.project.config.links,
+            self._setup.limits.most.cores or 1,
         )
         recorder = Recorder(self._store, self._session.paths, context, kept, doubt)
         try:
@@ -212,7 +221,7 @@ class JobService:
             image=self._image,
             box=self._hosts.box if self._hosts else self.isolation.box,
             programs=self._session.paths.worker,
-            allots=self._stays or setup.limits.gpus is not None,
+            allots=self._stays or setup.limits.most.gpus is not None,
             stays=self._stays,
             beside=self._session.paths.shared if self._beside else None,
             checkpoint=partial(self._store.paths.checkpoint, programs=context.programs)
@@ -224,12 +233,14 @@ class JobService:
             observed=self._is_observed(),
         )
 
-    def _limits(self) -> Limits:
-        """Return the limits of a run; files beside its input do not count as its output."""
-        limits = self._setup.limits
-        if limits.output_bytes is None:
-            return limits
-        return replace(limits, output_bytes=limits.output_bytes + sum(row.size for row in self._beside))
+    def _limits(self) -> RunLimits:
+        """Return the limits of runs; files beside the input of a run do not count as its output."""
+        beside = sum(row.size for row in self._beside)
+
+        def with_files_beside(limits: Limits) -> Limits:
+            return limits if limits.output_bytes is None else replace(limits, output_bytes=limits.output_bytes + beside)
+
+        return self._setup.limits.changed(with_files_beside)
 
     def _observed(
         self,
@@ -266,10 +277,12 @@ class JobService:
         return commands.declared(setup.spec.environment, setup.root, setup.project.root, image=self._image)["PATH"]
 
 
-def _check_gpus(setup: Setup) -> None:
-    """Check that runs that request GPUs can be given some. Raises ConfigError."""
+def _check_resources(setup: Setup) -> None:
+    """Check that runs that request cores or GPUs can be given some. Raises ConfigError."""
     spec = setup.spec
-    if setup.limits.gpus is None:
+    if setup.limits.most.cores is not None and spec.robots is not None:
+        raise ConfigError("[limits] cores: runs on robots hold no cores of their own; remove it")
+    if setup.limits.most.gpus is None:
         return
     if spec.robots is not None:
         raise ConfigError("[limits] gpus: runs on robots are given no GPUs; remove it")

@@ -62,7 +62,8 @@ def proposal(
         each=None if wrote is None else OF_JOB + OF_RECORD + wrote,
         beside=_code(plan),
         waits=not detach,
-        gpus=plan.limits.gpus,
+        gpus=plan.limits.most.gpus,
+        cores=plan.limits.most.cores or 1,
     )
 
 

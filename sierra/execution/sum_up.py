@@ -47,7 +47,7 @@ def of_session(
     if failures:
         none_good = len(failed | missing) == runs
         logs = [failure.log or "" for failure in failures]
-        notes += (*out_of_reach(plan, None if none_good else logs), *without_gpu_memory(plan.limits.gpus, logs))
+        notes += (*out_of_reach(plan, None if none_good else logs), *without_gpu_memory(plan.limits.most.gpus, logs))
     left_out = len(missing - only) if only is not None else 0
     if left_out:
         notes += (f"figures and statistics of this batch lack {counted(left_out, 'run')} that this session has left out",)

@@ -26,9 +26,10 @@ from sierra.execution.checkout import Checkout
 from sierra.execution.members import configured
 from sierra.execution.observer import Observer, ProgressCounter
 from sierra.execution.run_jobs import JobService, Setup
+from sierra.execution.run_limits import RunLimits
 from sierra.execution.sessions import Session
 from sierra.ingest.recording_context import Context
-from sierra.model import Limits, Status
+from sierra.model import Status
 from sierra.provenance import environment, reported_versions
 from sierra.provenance.change_guard import guard
 from sierra.provenance.dependency_model import Programs
@@ -201,13 +202,14 @@ class _Replaying:
             self._notes.append(text)
             self._observer.notice(text)
 
-    def _limits(self) -> Limits:
+    def _limits(self) -> RunLimits:
         """Return the limits of each execution: where this machine has no GPU, runs execute without."""
-        limits, runner = self._options.variation.limits(self._of.project.config), self._of.runner
-        if runner.stays or runner.remote or not (note := without_limit(limits.gpus)):
+        project, batch, runner = self._of.project.config, self._record.of.batch, self._of.runner
+        limits = self._options.variation.limits(project, self._store, batch)
+        if runner.stays or runner.remote or not (note := without_limit(limits.most.gpus)):
             return limits
         self._say([note])
-        return replace(limits, gpus=None)
+        return limits.changed(lambda each: replace(each, gpus=None))
 
     def _restored(self) -> _Code:
         """Restore the recorded source, with its products and the files that runs used, and look at programs and machine."""

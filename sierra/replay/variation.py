@@ -9,8 +9,9 @@ from collections.abc import Collection, Iterable, Mapping
 from typing import NamedTuple
 
 from sierra.config.project_file import Project
-from sierra.execution import commands
-from sierra.model import Limits, Purpose, RunSpec
+from sierra.execution import run_limits
+from sierra.execution.run_limits import RunLimits
+from sierra.model import Purpose, RunSpec
 from sierra.replay.compare_values import Agreement
 from sierra.replay.verdicts import Replay
 from sierra.store.store import Store
@@ -37,9 +38,9 @@ class Variation:
         """Return the input files of a run that is executed."""
         return recorded
 
-    def limits(self, project: Project) -> Limits:
-        """Return the limits of each execution."""
-        return commands.limits(project)
+    def limits(self, project: Project, store: Store, batch: str) -> RunLimits:
+        """Return the limits of the runs of a recorded batch."""
+        return run_limits.recorded(project, store, batch)
 
     def compared(self, outputs: Mapping[str | None, Agreement]) -> Mapping[str | None, Agreement]:
         """Return the outputs, by path, whose agreement with the record counts."""

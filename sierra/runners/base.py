@@ -60,6 +60,8 @@ class Work:
     """
     links: Tables = field(default_factory=dict)
     """The options of links to hosts, as `[links.NAME]` has them, for runners that reach hosts by a link."""
+    cores: int = 1
+    """The most cores that one of the runs holds (`Limits.cores`). Runners that start several runs at a time heed the limit."""
 
 
 @dataclass(frozen=True, slots=True)

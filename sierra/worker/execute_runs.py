@@ -218,13 +218,18 @@ class Execution:
         job["environment"].update(own)
         if "client" in job:
             job["client"]["environment"].update(own)
-        job.update(run=run.run, execution=execution, limits=self.batch.limits)
+        job.update(run=run.run, execution=execution, limits=self.limits_of(run))
         job["files"] = {name: base64.b64encode(content).decode() for name, content in run.files.items()}
         if not job["folders"]:
             del job["folders"]
         if self.batch.beside:
             job["beside"] = str(self.folder / "beside")
         return job
+
+    def limits_of(self, run: Run) -> dict[str, Any]:
+        """Return the limits of a run; without the one for GPUs where there is no GPU, since then the batch has none."""
+        given = {**self.batch.limits, **run.limits}
+        return {name: limit for name, limit in given.items() if name != "gpus" or "gpus" in self.batch.limits}
 
     def ended(self, process: subprocess.Popen[bytes], runs: Path) -> Iterator[Outcome]:
         """Yield the outcome of each run that has ended, until the worker has ended. Folders of identical runs are removed."""

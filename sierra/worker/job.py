@@ -23,6 +23,7 @@ class Limits(TypedDict, total=False):
     marker: str
     contains: str
     gpus: float
+    cores: int
 
 
 class Program(TypedDict):

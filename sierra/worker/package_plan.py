@@ -8,15 +8,16 @@
     needs         programs of the machine; `requires`: Python packages, if runs are executed by this Python
     image         the container image, or null
     clients       for each container engine, the command that starts a container as SIERRA does: see `Client` and the marks
-    environment   the variables that its runs share; `limits`, `success`: their limits and exit statuses
+    environment   the variables that its runs share; `limits`, `success`: their largest limits, and exit statuses
     by_value      the outputs whose bytes may differ, with the reason
     patterns      the patterns of outputs whose names may differ, except those in `named`
 
 Each line of `jobs` is a run: `argv`, `environment` (the variables that differ from the shared ones; null removes one), `files`
-(inputs), `folders` (marks in inputs, see `sierra.worker.job`), `seconds` (its recorded duration), `ended` (its recorded exit
-status, negative for a signal, if it was no success), and `outputs` (the SHA-256 of each file). An input is a text in which each
-character stands for a byte, or an object with the lines that differ from the same input of the line before. PROJECT_MARK and
-PYTHON_MARK stand for paths of this machine, ARCH_MARK for its processor, and NUL for the folder of the run.
+(inputs), `folders` (marks in inputs, see `sierra.worker.job`), `limits` (those that differ from the largest ones), `seconds`
+(its recorded duration), `ended` (its recorded exit status, negative for a signal, if it was no success), and `outputs` (the
+SHA-256 of each file). An input is a text in which each character stands for a byte, or an object with the lines that differ
+from the same input of the line before. PROJECT_MARK and PYTHON_MARK stand for paths of this machine, ARCH_MARK for its
+processor, and NUL for the folder of the run.
 """
 
 from __future__ import annotations
@@ -84,6 +85,7 @@ class Run(NamedTuple):
     folders: dict[str, str]
     outputs: dict[str, str]
     ended: int | None
+    limits: dict[str, Any]
 
     def called(self) -> str:
         return f"run {self.number} of experiment {self.experiment} ({clean(self.run)[:10]})"
@@ -126,7 +128,7 @@ class Batch:
             self.files, self.beside = (
                 {name: member_of(file) for name, file in plan[key].items()} for key in ("files", "beside")
             )
-            self.limits = {text_of(name): limit_of(name, limit) for name, limit in plan["limits"].items()}
+            self.limits = limits_of(plan["limits"])
             self.success = [int(status) for status in plan["success"]]
             self.image = None if plan["image"] is None else texts_of(plan["image"])
             self.clients = {text_of(name): Client.read(client) for name, client in plan["clients"].items()}
@@ -182,6 +184,7 @@ def read_run(line: str, before: Mapping[str, str]) -> tuple[Run, dict[str, str]]
         texts_of(given.get("folders", {})),
         texts_of(given["outputs"]),
         None if given.get("ended") is None else int(given["ended"]),
+        limits_of(given.get("limits", {})),
     )
     return run, texts
 
@@ -206,10 +209,16 @@ def texts_of(value: Any) -> dict[str, str]:
     return {text_of(name): text_of(text) for name, text in value.items()}
 
 
+def limits_of(value: Any) -> dict[str, Any]:
+    return {text_of(name): limit_of(name, limit) for name, limit in value.items()}
+
+
 def limit_of(name: str, value: Any) -> Any:
     """Return a limit of runs: a number, or what the marker is that may end them."""
     if name == "gpus" and not 0 < float(value) <= MOST_GPUS:
         raise ValueError(f"{value!r} is no number of GPUs")
+    if name == "cores":
+        return int(value)
     if name not in ("marker", "contains"):
         return float(value)
     if name == "marker" and not is_safe(text_of(value)):

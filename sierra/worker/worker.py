@@ -48,6 +48,7 @@ from typing import TYPE_CHECKING, Mapping, Sequence, TextIO
 from sierra.worker import checkpoints
 from sierra.worker.conductor_report import report_of
 from sierra.worker.containers import PROGRAM, HeldContainer, await_orphans, end_container
+from sierra.worker.cores import Cores
 from sierra.worker.devices import Lease, NoDevices, Pool, requests_devices, with_leased, with_own_devices
 from sierra.worker.errors import explain, why_not_started
 from sierra.worker.files import CHUNK, check_room, entries_of, is_folder, is_full, remove, unlink
@@ -119,6 +120,7 @@ class Worker:
         self.running: dict[int, Running] = {}
         self.containers: dict[int, Container] = {}
         self.devices = Pool(os.environ)
+        self.cores = Cores(slots)
         self.leases: dict[int, Lease] = {}
         """The devices of the slots' containers."""
         self.sampler: GpuSampler | None = None
@@ -231,7 +233,9 @@ class Worker:
                 break
             self.contains = self.contains or "client" in job
             try:
-                self.execute_with_devices(job, number)
+                with self.cores.held(job["limits"].get("cores", 0), lambda: self.stopping) as has_cores:
+                    if has_cores:
+                        self.execute_with_devices(job, number)
             except Exception as error:
                 self.fail(error)
         container = self.containers.pop(number, None)

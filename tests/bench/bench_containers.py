@@ -72,7 +72,7 @@ def loop(here: Path, engine: str, runs: int, folder: Path) -> Callable[[], float
     plan = sierra.open(here).plan("population_size=1", runs=1, engine=engine)
     store = sierra.open(here).store
     contained = container_setup.contain(
-        plan.engine, plan.image, plan.batch.spec, plan.project.config.container, plan.limits,
+        plan.engine, plan.image, plan.batch.spec, plan.project.config.container, plan.limits.of_containers,
         code=here, project=here, store=store.paths, session="bench",
     )  # fmt: skip
     maker = commands.CommandBuilder(

@@ -259,7 +259,7 @@ class _Examined:
                 continue
             try:
                 self._compare_run(known[0], run_files(self._builder.job(run, files), self._plan))
-                self._measure(known[0])
+                self._measure(known[0], self._plan.limits.of(run.experiment).output_bytes)
             except Refused as error:
                 self.refused[known[0]] = str(error)
                 continue
@@ -280,9 +280,9 @@ class _Examined:
         except OSError as error:
             raise Refused(f"{name} cannot be read: {error.strerror}") from error
 
-    def _measure(self, folder: str) -> None:
-        """Check that the outputs can be read, and are not larger than the limit. Raises Refused."""
-        most, left = self._plan.limits.output_bytes, 0
+    def _measure(self, folder: str, most: int | None) -> None:
+        """Check that the outputs can be read, and have at most so many bytes. Raises Refused."""
+        left = 0
         for _, file in files_left(self._root, folder):
             left += file.seek(0, 2) if file else 0
         for _ in logs_left(self._root, folder):

@@ -52,14 +52,15 @@ class HostConnection:
         session: str,
         contents: Mapping[str, str],
         gpus: float | None,
+        cores: int,
         lease: Callable[[], float | None],
         have: Callable[[], Mapping[str, int]],
         handle: Callable[[HostConnection, Record, bytes], None],
     ) -> None:
         """`session` names the folder of the session there. `contents` are what is copied there: kinds by paths.
 
-        `gpus` is the number of GPUs that a run requests, or its share of one; None: it requests none. `lease` returns the
-        seconds for which the host goes on without a connection; None: without end.
+        `gpus` is the number of GPUs that a run requests, or its share of one; None: it requests none. `cores` is that of its
+        cores. `lease` returns the seconds for which the host goes on without a connection; None: without end.
 
         `have` returns the bytes of each result log that this machine has. `handle` is called by this thread, for the events of
         the host and for those of the connection: `connected` and `lost`, with the reason.
@@ -77,7 +78,7 @@ class HostConnection:
         """When something came from the host, in seconds since boot, in which a suspended computer also counts."""
         self.connected = False
         self._table, self._session, self._contents = table, session, contents
-        self._have, self._handle, self._gpus, self._lease = have, handle, gpus, lease
+        self._have, self._handle, self._gpus, self._cores, self._lease = have, handle, gpus, cores, lease
         kind = table.link
         self._link = LINKS.make(kind, {kind: {**links.get(kind, {}), **table.link_options}}, host.name)
         if not isinstance(self._link, Commands):
@@ -130,16 +131,18 @@ class HostConnection:
         argv = (self._table.python, "-I", "-S", "-B", f"{programs}/{program.NAME}", FRONT, self.folder)
         self._exchange = exchange = self._link.stream(argv)
         try:
-            slots, lease = self.host.slots, self._lease()
-            exchange.send(_line("hello", slots=slots, lease=lease, gpus=self._gpus, have=self._have()), LOST_S)
+            requested = {"slots": self.host.slots, "lease": self._lease(), "gpus": self._gpus, "cores": self._cores}
+            exchange.send(_line("hello", **requested, have=self._have()), LOST_S)
             while (hello := self._next(exchange)[0])["event"] != "hello":
                 if hello["event"] == "trouble":
                     raise Missing(f"{self.name}: {hello['reason']}")
             self.slots = int(hello["slots"])
-            if self.slots < 1:
+            if self.slots < 1 and hello["gpus"] < (self._gpus or 0):
                 raise Unusable(
                     f"{self.name}: runs request {self._gpus:g} GPUs each ([limits] gpus), and it has {hello['gpus']}"
                 )
+            if self.slots < 1:
+                raise Unusable(f"{self.name}: runs request {self._cores} cores each ([limits] cores), and it has fewer slots")
             early: list[tuple[Record, bytes]] = []
             self.clock = measured(lambda: self._ask_clock(exchange, early), time.time_ns)
             self._outgoing = queue.SimpleQueue()

@@ -129,7 +129,8 @@ class Lab:
         self._follows = True
         self._logs = ResultLogs(session)
         if work is not None:
-            tasks.contents, tasks.links, tasks.gpus = self._contents(work), cast(Links, work.links), work.gpus
+            tasks.contents, tasks.links = self._contents(work), cast(Links, work.links)
+            tasks.gpus, tasks.cores = work.gpus, work.cores
             tasks.save()
         listed = self._table.listed()
         with self._changed:
@@ -156,7 +157,16 @@ class Lab:
             return
         tasks, name = self._tasks, f"{self._session.root.name}-{self._tasks.token}"
         connection = HostConnection(
-            host, self._table, tasks.links, name, tasks.contents, tasks.gpus, self._lease, self._have, self._handle
+            host,
+            self._table,
+            tasks.links,
+            name,
+            tasks.contents,
+            tasks.gpus,
+            tasks.cores,
+            self._lease,
+            self._have,
+            self._handle,
         )
         self._hosts[host.name] = LabHost(connection, leaves=leaves)
         connection.start()

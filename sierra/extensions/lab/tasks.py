@@ -17,7 +17,7 @@ from sierra.util.json_types import JsonView
 from sierra.util.lazy_definitions import dataclass, field
 
 Links = Mapping[str, Mapping[str, JsonView]]
-OWN = ("number", "without_end", "token", "jobs", "contents", "gpus", "links")
+OWN = ("number", "without_end", "token", "jobs", "contents", "gpus", "cores", "links")
 """The fields of `Tasks` beside its tasks."""
 AHEAD = 1
 """The number of tasks that a host has in addition to those that it executes, so that no slot waits for this machine."""
@@ -80,6 +80,8 @@ class Tasks:
     """The files and folders of this machine that jobs name, each with the kind of its content."""
     gpus: float | None = None
     """The most GPUs that a run requests, or its share of one; None: it requests none."""
+    cores: int = 1
+    """The most cores that a run requests."""
     links: Links = field(default_factory=dict)
     """The options of links in `sierra.toml`."""
 

@@ -19,10 +19,12 @@ from sierra.design.platforms import base as platforms
 from sierra.design.platforms.base import Platform, Rendering, Renders
 from sierra.design.run_values import Declared
 from sierra.errors import ConfigError, Missing, TemplateError
-from sierra.execution import commands
-from sierra.model import Limits, Purpose, RunSpec, Service
+from sierra.execution import commands, run_limits
+from sierra.execution.run_limits import RunLimits
+from sierra.model import Purpose, RunSpec, Service
 from sierra.replay.compare_values import Agreement
 from sierra.replay.variation import Variation
+from sierra.store.store import Store
 from sierra.templates import several
 from sierra.templates.base import Files, Template
 from sierra.util.hashing import digest, sha256
@@ -55,10 +57,11 @@ class RenderedRuns(Variation):
         del recorded
         return self._spec
 
-    def limits(self, project: Project) -> Limits:
-        """Return the limits of each execution: those of `[limits]`, unless `[capture]` has others."""
+    def limits(self, project: Project, store: Store, batch: str) -> RunLimits:
+        """Return the limits of the runs of a recorded batch: those of `[limits]`, unless `[capture]` has others."""
         own = self._table.model_dump(include={"wall", "cpu", "memory", "output"}, exclude_none=True)
-        return commands.limits(project.model_copy(update={"limits": project.limits.model_copy(update=own)}))
+        limits = project.limits.model_copy(update=own)
+        return run_limits.recorded(project.model_copy(update={"limits": limits}), store, batch)
 
     def compared(self, outputs: Mapping[str | None, Agreement]) -> Mapping[str | None, Agreement]:
         """Return the outputs that are not frames."""

@@ -27,7 +27,6 @@ from sierra.packages.parts.sources import folders
 from sierra.packages.subject import Member, PartResult, Subject
 from sierra.provenance.dependency_model import Kind
 from sierra.provenance.source.manifest import LINK, parts, read
-from sierra.runners import local
 from sierra.store.store import Store
 from sierra.util import worker_zip
 from sierra.util.fs import inside
@@ -102,11 +101,11 @@ class _Batch:
             "requires": list(project.config.requires),
             "image": _image(image),
             "clients": {} if image is None else _clients(recalled, image),
-            "limits": local.limits(commands.limits(project.config)),
             "success": sorted(recalled.success.statuses),
             "notes": _notes(recalled),
         }
         jobs = recorded_jobs.Jobs(store, project, recalled, image)
+        self.plan["limits"] = jobs.limits
         path, name = self._subject.folder / f"jobs-{batch[:12]}", f"{EXECUTION}{batch[:12]}.jsonl"
         jobs.write(batch, path)
         if not jobs.runs:

@@ -13,12 +13,13 @@ from sierra.config.output_tables import Output
 from sierra.config.project_file import LoadedProject
 from sierra.containers import engines
 from sierra.containers.images.image import Image
-from sierra.execution import commands, plan_from_record
+from sierra.execution import plan_from_record, run_limits
 from sierra.execution.commands import CommandBuilder
 from sierra.execution.plan_from_record import Recalled
 from sierra.ingest.rewriting import is_compressed
 from sierra.model import Run
 from sierra.replay.pair_files import has_open_names
+from sierra.runners import local
 from sierra.store.recorded_files import ChosenExecution
 from sierra.store.store import Store
 from sierra.templates.base import Files
@@ -82,12 +83,13 @@ class Jobs:
 
     def __init__(self, store: Store, project: LoadedProject, recalled: Recalled, image: Image | None) -> None:
         root = Path(package_plan.PROJECT_MARK)
+        limits = run_limits.recorded(project.config, store, recalled.batch)
         self._store = store
         self._builder = CommandBuilder(
             recalled.spec,
             root,
             engines.find("none"),
-            commands.limits(project.config),  # execute_runs.py adds the variables for GPUs
+            limits,  # execute_runs.py adds the variables for GPUs
             "",
             root,
             image=image,
@@ -97,6 +99,9 @@ class Jobs:
             python=package_plan.PYTHON_MARK,
             arch=package_plan.ARCH_MARK,
         )
+        self.limits = local.limits(limits.most)
+        """The largest limits of all runs; the lines have those that differ from them."""
+
         own_path = image is not None or "PATH" in recalled.spec.environment
         self._left_out = OF_SESSION if own_path else (*OF_SESSION, "PATH")
         self._declared = {**recalled.outputs, **project.config.outputs}
@@ -156,6 +161,9 @@ class Jobs:
                 name: variables.get(name) for name in sorted(names) if variables.get(name) != self.environment.get(name)
             },
         }
+        limits = local.limits(job.limits)
+        own = {name: limit for name, limit in limits.items() if limit != self.limits.get(name)}
+        line |= {"limits": own} if own else {}
         line |= {"ended": run.ended} if run.ended is not None else {}
         return line | ({"folders": dict(job.folders)} if job.folders else {})
 

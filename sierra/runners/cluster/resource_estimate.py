@@ -100,18 +100,22 @@ def propose(
     beside: tuple[int, int],
     waits: bool,
     gpus: float | None = None,
+    cores: int = 1,
 ) -> Estimate:
     """Return what `count` runs with these expected times would request from a cluster.
 
-    Each run leaves `each` bytes and holds `gpus` GPUs. `waits` is true if a process would follow. `work` is the folder of
-    sessions. `beside` are the files and bytes that do not depend on the number of elements. If the scheduler cannot be reached,
-    the estimate lacks the limits of the site. Raises ConfigError for a refused request.
+    Each run leaves `each` bytes and holds `gpus` GPUs and `cores` cores. `waits` is true if a process would follow. `work` is
+    the folder of sessions. `beside` are the files and bytes that do not depend on the number of elements. If the scheduler
+    cannot be reached, the estimate lacks the limits of the site. Raises ConfigError for a refused request.
     """
     shares = _shares(scheduler, table, count, times)
     is_probed = not shares and Preflight(name, table, SessionPaths(work / "SESSION")).is_needed()
     notes = [PREFLIGHT] if is_probed else []
     version, bounds = _site(scheduler, table, notes)
-    sized = Size(len(shares), None, None, DEALT) if shares else size(count, times, table, bounds, waits=waits, gpus=gpus)
+    if shares:
+        sized = Size(len(shares), None, None, DEALT)
+    else:
+        sized = size(count, times, table, bounds, waits=waits, gpus=gpus, cores=cores)
     if not shares and (note := note_on_gpus(table, gpus)):
         notes.append(note)
     requested = table.model_copy(update={"wall": sized.wall_s})

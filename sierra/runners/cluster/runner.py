@@ -39,7 +39,7 @@ from sierra.runners.cluster.batch_state import Answer, BatchState, Phase, on_pol
 from sierra.runners.cluster.collect import AT_ONCE, Collector, Share, refresh
 from sierra.runners.cluster.preflight_job import Preflight
 from sierra.runners.cluster.shard import deal, deal_first, deal_rest, deal_sized
-from sierra.runners.cluster.sizing import Size, Timing, elements_of, note_on_gpus, size, slots_of, timing
+from sierra.runners.cluster.sizing import Size, Timing, elements_of, note_on_gpus, runs_of_element, size, slots_of, timing
 from sierra.runners.cluster.submission_record import Sent, Submission
 from sierra.runners.schedulers.base import Carries, NodeVariables, Scheduler, State, Task
 from sierra.store.layout import SessionPaths
@@ -89,7 +89,7 @@ class Cluster:
         if self._carrier:
             self._submit_carried(self._carrier, work, session, version)
             return
-        sized = size(work.count, work.times, self._table, bounds, waits=work.waits, gpus=work.gpus)
+        sized = size(work.count, work.times, self._table, bounds, waits=work.waits, gpus=work.gpus, cores=work.cores)
         estimated = self._table.wall is None and sized.wall_s is not None
         self._table = self._table.model_copy(update={"wall": sized.wall_s})
         past = submission_record.past(session)
@@ -101,7 +101,7 @@ class Cluster:
         table = self._table.model_dump(mode="json")
         dealt = (work.batch, counts, dict(work.around), probed, rest)
         means = _means(work.times, sized.first)
-        slots = slots_of(self._table, work.gpus)
+        slots = runs_of_element(self._table, work.gpus, work.cores)
         submission = Submission(self.name, self._kind, version, table, *dealt, bounds, estimated, *means, slots, past)
         submission.save(session)
         self._begin(submission, session, {})

@@ -59,15 +59,22 @@ class Size:
 
 
 def size(
-    count: int, times: Times | None, table: ClusterTable, bounds: Bounds, *, waits: bool = True, gpus: float | None = None
+    count: int,
+    times: Times | None,
+    table: ClusterTable,
+    bounds: Bounds,
+    *,
+    waits: bool = True,
+    gpus: float | None = None,
+    cores: int = 1,
 ) -> Size:
     """Return how `count` runs with these expected times (None: unknown) are sharded.
 
-    `waits` is true if a process follows, and so can wait for the runs that go first. `gpus`: see `sierra.model.Limits`. Raises
-    ConfigError for a time that the site does not allow, for runs that take longer than an array task may, and for runs that
-    request more GPUs than it has.
+    `waits` is true if a process follows, and so can wait for the runs that go first. `gpus` and `cores` are the most that a run
+    holds: see `sierra.model.Limits`. Raises ConfigError for a time that the site does not allow, for runs that take longer than
+    an array task may, and for runs that request more cores or GPUs than it has.
     """
-    slots = slots_of(table, gpus)
+    slots = runs_of_element(table, gpus, cores)
     if table.wall is not None and bounds.wall_s is not None and table.wall > bounds.wall_s:
         where = bounds.whose.get("wall_s", "the site's limit")
         raise ConfigError(f"wall = {table.wall:g} s is more than the site allows, {bounds.wall_s:g} s ({where}); request less")
@@ -102,8 +109,17 @@ def _check_longest(times: Times | None, table: ClusterTable, bounds: Bounds) -> 
         raise ConfigError(f"a run took {measured:.0f} s, and an array task may take {limit}: {cure}")
 
 
+def runs_of_element(table: ClusterTable, gpus: float | None, cores: int) -> int:
+    """Return how many runs an element executes at a time if each holds so much. Raises ConfigError if it has not enough."""
+    if table.cpus < cores:
+        raise ConfigError(
+            f"runs request {cores} cores each ([limits] cores), but an array task has {table.cpus}; set cpus = {cores} or more"
+        )
+    return min(table.cpus // cores, slots_of(table, gpus))
+
+
 def slots_of(table: ClusterTable, gpus: float | None) -> int:
-    """Return how many runs an array task executes at a time. Raises ConfigError if it has too few GPUs for one."""
+    """Return how many runs of one core an array task executes at a time. Raises ConfigError if it has too few GPUs for one."""
     if gpus is None:
         return table.cpus
     if (table.gpus or 0) < gpus:

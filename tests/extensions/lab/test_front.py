@@ -16,7 +16,7 @@ from sierra.extensions.lab.agent import front, keeper
 from sierra.util import worker_zip
 from tests.pythons import python_of
 
-HELLO = {"do": "hello", "slots": 1, "lease": 60, "gpus": None, "have": {}}
+HELLO = {"do": "hello", "slots": 1, "lease": 60, "gpus": None, "cores": 1, "have": {}}
 
 
 class Host:
@@ -75,7 +75,7 @@ def test_the_oldest_supported_python_is_enough_on_a_host(tmp_path: Path, require
         state = host.until("state")[0]
     assert state["ended"]["1.0"][0] == 3
     host.close()
-    assert subprocess.run((*host.argv, keeper.__name__, str(host.folder), "1", "0"), check=False).returncode == 0
+    assert subprocess.run((*host.argv, keeper.__name__, str(host.folder), "1", "0", "1"), check=False).returncode == 0
 
 
 def test_a_result_log_is_sent_from_where_the_driver_has_it(host: Host) -> None:

@@ -192,6 +192,25 @@ def test_two_drivers_share_the_slots_of_hosts(fleet: Fleet, tmp_path: Path) -> N
 
 
 @pytest.mark.nightly
+def test_a_run_that_holds_two_cores_has_two_slots_of_its_host_also_beside_another_driver(fleet: Fleet, tmp_path: Path) -> None:
+    wide, narrow = (lab_project.make(fleet, tmp_path / name, 0.5) for name in ("wide", "narrow"))
+    config = wide / "sierra.toml"
+    config.write_text(config.read_text().replace('"{input}"]', '"{input}", "wide"]') + "[limits]\ncores = 2\n")
+    drivers = [drive(project, *QUERY, "5") for project in (wide, narrow)]
+    most = 0
+    while any(driver.poll() is None for driver in drivers):
+        for name in fleet.names:
+            running = [line for line in fleet.commands(name) if "sim.py" in line]
+            most = max(most, len(running) + sum("wide" in line for line in running))
+        time.sleep(0.1)
+    for driver, project in zip(drivers, (wide, narrow), strict=True):
+        code, errors = ended(driver)
+        assert code == 0, errors
+        assert rows_of(project, GOOD) == [(10, 10)]
+    assert most == 2
+
+
+@pytest.mark.nightly
 def test_hosts_join_and_leave_while_a_batch_executes(fleet: Fleet, tmp_path: Path) -> None:
     hosts = tmp_path / "hosts"
     hosts.write_text("# the lab\n2/rb1\n2/rb2  # window\n")

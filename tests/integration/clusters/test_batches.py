@@ -189,6 +189,28 @@ def test_runs_hold_gpus_of_their_array_task(simulate: Callable[..., Simulated]) 
 
 
 @pytest.mark.nightly
+@pytest.mark.usefixtures("slurm")
+def test_runs_hold_cores_of_their_array_task(simulate: Callable[..., Simulated]) -> None:
+    made = simulate('t=$(date +%s.%N); sleep 1; printf "t,v,w\\n1,$t,$(date +%s.%N)\\n" > swarm.csv')
+    config = made.folder / "sierra.toml"
+    table = "[runners.slurm]\narray_tasks = 1\ncpus = 2\n"
+    config.write_text(config.read_text().replace("[limits]\n", '[limits]\ncores = "{size}"\n') + table)
+    project = sierra.open(made.folder)
+    with pytest.raises(ConfigError, match=r"request 3 cores each .* but an array task has 2; set cpus = 3 or more"):
+        project.run("size=1,3", runs=1, runner="slurm", figures=False)
+    summary = project.run("size=1,2", runs=2, runner="slurm", figures=False)
+    assert (summary.failed, summary.executed) == (0, 4)
+    times = rows(
+        project,
+        "SELECT experiments.size, v AS began, w AS ended FROM swarm JOIN batch_runs USING (run) JOIN experiments USING (batch, ordinal)",
+    )
+    wide = [row for row in times if row["size"] == 2]
+    assert all(
+        row["ended"] <= other["began"] or other["ended"] <= row["began"] for row in wide for other in times if row != other
+    )
+
+
+@pytest.mark.nightly
 def test_code_may_change_while_runs_are_queued(gated: Gated) -> None:
     asking = gated.ask()
     gated.until_begun(3)

@@ -31,8 +31,8 @@ ERRORS = [
     "unknown key 'outputs.swarm.colums'; did you mean 'columns'?",
     "'outputs.swarm.file' is missing",
     "variables.population_size.unit should be text, not 3",
-    "per_run.pairs.0.str should be text, not [1]",
-    "per_run.pairs.1.str should be text, not [2]",
+    "per_run.pairs.0 should be text, not [1]",
+    "per_run.pairs.1 should be text, not [2]",
     "changes.0: a change needs exactly one of set, add, remove, rename",
 ]
 TARGETS = """

@@ -7,7 +7,7 @@ the keeper, which it starts if there is none. Both directions are lines of JSON,
 says. All bytes of a result log are sent from the place on that the driver asks for, so that nothing is sent twice.
 
     from the driver                             to the driver
-    hello slots? lease gpus have {log: bytes}   hello slots gpus machine python
+    hello slots? lease gpus cores have {…}      hello slots gpus machine python     have: bytes by log
     file name size                              state queued running ended {entry: [status, reason, last line]}
     queue entry task job host clock             log name at size
     withdraw entry                              cut name at           a log has become shorter, because its disk is full
@@ -58,7 +58,7 @@ class Front:
         self._sent: dict[str, int] = {}
         """The bytes of each result log that the driver has."""
         self._state: Record = {}
-        self._slots, self._gpus = 1, 0.0
+        self._slots, self._gpus, self._cores = 1, 0.0, 1
         self._lease: float | None = None
         self._leased = 0.0
         self._beat_at = self._heard = self._keep_at = time.monotonic()
@@ -150,10 +150,11 @@ class Front:
     def _begin(self, request: Record) -> None:
         host_folder.make(self._folder)
         unlink(os.path.join(self._folder, "cancelled"))
-        cores, self._gpus = machine.usable_cores(), request["gpus"] or 0.0
+        self._gpus, self._cores, self._lease = request["gpus"] or 0.0, request["cores"], request["lease"]
         devices = len(gpus.of_this_machine(os.environ).ids) if self._gpus else 0
-        at_once = runs_at_once(devices, self._gpus) if self._gpus else cores
-        self._slots, self._lease = min(request["slots"] or cores, at_once), request["lease"]
+        self._slots = (request["slots"] or machine.usable_cores()) // self._cores
+        if self._gpus:
+            self._slots = min(self._slots, runs_at_once(devices, self._gpus))
         self._sent = dict(request["have"])
         python = platform.python_version()
         self._send({"event": "hello", "slots": self._slots, "gpus": devices, "machine": os.uname().machine, "python": python})
@@ -204,7 +205,15 @@ class Front:
         with open(os.path.join(self._folder, LOGS, "keeper.out"), "ab") as log:
             # its parent ends at once, so that it is nobody's child here
             subprocess.run(
-                [sys.executable, "-I", "-S", program.PROGRAM, KEEPER, self._folder, str(self._slots), str(self._gpus)],
+                [
+                    sys.executable,
+                    "-I",
+                    "-S",
+                    program.PROGRAM,
+                    KEEPER,
+                    self._folder,
+                    *map(str, (self._slots, self._gpus, self._cores)),
+                ],
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,

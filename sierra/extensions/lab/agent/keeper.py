@@ -1,9 +1,10 @@
 """The process that executes the tasks of a session on a host: it needs no connection.
 
-    python3 -I -S worker.pyz sierra.extensions.lab.agent.keeper FOLDER SLOTS GPUS
+    python3 -I -S worker.pyz sierra.extensions.lab.agent.keeper FOLDER SLOTS GPUS CORES
 
-GPUS is the number of GPUs that a run requests, its share of one, or 0: each slot has GPUs of its own. FOLDER is that of the
-session: see `host_folder`. There is one keeper for each session: another one ends at once. It starts tasks in the order of
+GPUS is the number of GPUs that a run requests, its share of one, or 0: each slot has GPUs of its own. CORES is the number of
+cores that a run holds: a task has as many slots, of which there are SLOTS times CORES. FOLDER is that of the session: see
+`host_folder`. There is one keeper for each session: another one ends at once. It starts tasks in the order of
 their numbers, each in a slot of the host. Drivers share the slots by locks, which a task inherits, so that a slot is free when
 the last process of its task has ended, also if its keeper was killed before. When the lease is over, nobody waits for the
 results any more: no task is started, and running ones are told to end. Results stay.
@@ -34,11 +35,15 @@ LOST = "its process was killed"
 
 
 class Slot(NamedTuple):
-    """A slot of this host that a task has."""
+    """A slot of this host that a task has, or several adjacent ones if its run holds several cores."""
 
     number: int
-    lock: int
-    """The descriptor of its lock."""
+    locks: tuple[int, ...]
+    """The descriptors of their locks."""
+
+    def free(self) -> None:
+        for lock in self.locks:
+            os.close(lock)
 
 
 class Task(NamedTuple):
@@ -51,9 +56,9 @@ class Task(NamedTuple):
 class Keeper:
     """The tasks of one session."""
 
-    def __init__(self, folder: str, slots: int, gpus: float) -> None:
+    def __init__(self, folder: str, slots: int, gpus: float, cores: int) -> None:
         self._folder = folder
-        self._slots = slots
+        self._slots, self._cores = slots, cores
         self._gpus = gpus
         self._locks = os.path.join(folder, "..", "..", "..", "slots", os.uname().nodename)
         self._tasks: dict[str, Task] = {}
@@ -125,12 +130,12 @@ class Keeper:
         if slot is None:
             return False
         if not self._claim(entry):
-            os.close(slot.lock)
+            slot.free()
             return True
         try:
             self._tasks[entry] = Task(self._started(entry, slot), slot)
         except OSError as error:
-            os.close(slot.lock)
+            slot.free()
             self._note_end(entry, 3, "%s: %s" % (os.uname().nodename, error.strerror))
         unlink(self._path(CLAIMED, entry))
         return True
@@ -144,11 +149,19 @@ class Keeper:
         return True
 
     def _free_slot(self) -> Slot | None:
-        """Lock a slot of this host that nobody has, and return it; None if there is none."""
+        """Lock a slot of this host that nobody has, or as many as a run holds cores, and return it; None if there is none."""
         for number in range(self._slots):
-            lock = host_folder.lock(os.path.join(self._locks, str(number)))
-            if lock is not None:
-                return Slot(number, lock)
+            first = number * self._cores
+            locks: tuple[int, ...] = ()
+            while len(locks) < self._cores:
+                lock = host_folder.lock(os.path.join(self._locks, str(first + len(locks))))
+                if lock is None:
+                    break
+                locks = (*locks, lock)
+            slot = Slot(number, locks)
+            if len(locks) == self._cores:
+                return slot
+            slot.free()
         return None
 
     def _started(self, entry: str, slot: Slot) -> subprocess.Popen[bytes]:
@@ -164,7 +177,7 @@ class Keeper:
                 stdout=log,
                 stderr=log,
                 env={**with_gpus_of(slot.number, self._gpus, os.environ), **variables},
-                pass_fds=(slot.lock,),
+                pass_fds=slot.locks,
                 start_new_session=True,
             )
         try:
@@ -187,7 +200,7 @@ class Keeper:
         """Record the end of a task that this process has started."""
         task = self._tasks.pop(entry)
         status = task.process.wait()
-        os.close(task.slot.lock)
+        task.slot.free()
         self._note_end(entry, status, "signal %d" % -status if status < 0 else self._over if status else "")
         unlink(self._path(RUNNING, entry))
 
@@ -224,7 +237,7 @@ def with_gpus_of(slot: int, wanted: float, environment: Mapping[str, str]) -> Ma
 
 
 def main(arguments: list[str]) -> int:
-    folder, slots, wanted = os.path.abspath(arguments[0]), int(arguments[1]), float(arguments[2])
+    folder, (slots, cores), wanted = os.path.abspath(arguments[0]), map(int, arguments[1::2]), float(arguments[2])
     for number in (signal.SIGHUP, signal.SIGINT, signal.SIGPIPE):
         signal.signal(number, signal.SIG_IGN)
     if os.fork():  # so that it is nobody's child, and in no session of a login
@@ -232,5 +245,5 @@ def main(arguments: list[str]) -> int:
     os.setsid()
     own = host_folder.lock(os.path.join(folder, "keeper"))
     if own is not None:
-        Keeper(folder, slots, wanted).execute()
+        Keeper(folder, slots, wanted, cores).execute()
     return 0

@@ -103,6 +103,15 @@ def test_fewer_runs_at_a_time_take_more_or_longer_array_tasks() -> None:
     assert [size(24, times, fixed, Bounds(), gpus=limit).expected_s for limit in (None, 1.0)] == [600.0 * 3 + 525.0, 600.0 * 24]
 
 
+def test_runs_with_several_cores_leave_an_array_task_fewer_at_a_time() -> None:
+    table, times = ClusterTable(cpus=8), Times((600.0,) * 24, (), "")
+    assert [size(24, times, table, Bounds(), cores=cores).elements for cores in (1, 3, 8)] == [4, 16, 24]
+    with pytest.raises(
+        ConfigError, match=r"request 9 cores each \(\[limits\] cores\), but an array task has 8; set cpus = 9 or more"
+    ):
+        size(24, times, table, Bounds(), cores=9)
+
+
 @pytest.mark.parametrize(("gpus", "limit", "cure"), [(None, 0.5, "has none; set gpus = 1"), (2, 4.0, "has 2; set gpus = 4")])
 def test_an_array_task_with_too_few_gpus_for_a_run_is_refused(gpus: int | None, limit: float, cure: str) -> None:
     with pytest.raises(ConfigError, match=rf"request {limit:g} GPUs? each \(\[limits\] gpus\), but an array task {cure}"):
