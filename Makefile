@@ -133,11 +133,11 @@ lock: ## write requirements.lock and requirements-demo.lock from pyproject.toml
 # What tests need besides comes as packages of Debian; apptainer, which it has no package of, by tests/system/apptainer.sh.
 CALLED = git gcc unshare podman runc newuidmap catatonit mksquashfs squashfuse mmdebstrap busybox /usr/bin/python3 mawk \
 	slurmctld slurmd sbatch munged qsub setpriv slurmdbd mariadbd my_print_defaults faketime strace Xvfb ngspice ns3++ chromium sshd ssh ip tc \
-	roslaunch rosbag
+	roslaunch rosbag mpirun
 PACKAGES = git gcc libc6-dev util-linux podman runc uidmap catatonit squashfs-tools squashfuse mmdebstrap busybox-static \
 	python3 mawk slurmctld slurmd slurm-client munge slurm-wlm-torque slurmdbd mariadb-server-core mariadb-client-core faketime \
 	strace xvfb ngspice libns3-dev chromium openssh-server openssh-client iproute2 \
-	ros-core python3-rosbag python3-geometry-msgs python3-nav-msgs python3-sensor-msgs fonts-wqy-microhei
+	ros-core python3-rosbag python3-geometry-msgs python3-nav-msgs python3-sensor-msgs fonts-wqy-microhei openmpi-bin
 
 system: ## install what SIERRA calls (git, podman), and what tests need (gcc, squashfs-tools, ...); as root, on Debian
 	@missing=; for program in $(CALLED); do \

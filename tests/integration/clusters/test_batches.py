@@ -200,14 +200,29 @@ def test_runs_hold_cores_of_their_array_task(simulate: Callable[..., Simulated])
         project.run("size=1,3", runs=1, runner="slurm", figures=False)
     summary = project.run("size=1,2", runs=2, runner="slurm", figures=False)
     assert (summary.failed, summary.executed) == (0, 4)
-    times = rows(
-        project,
-        "SELECT experiments.size, v AS began, w AS ended FROM swarm JOIN batch_runs USING (run) JOIN experiments USING (batch, ordinal)",
-    )
+    joined = "swarm JOIN batch_runs USING (run) JOIN experiments USING (batch, ordinal)"
+    times = rows(project, f"SELECT experiments.size, v AS began, w AS ended FROM {joined}")
     wide = [row for row in times if row["size"] == 2]
     assert all(
         row["ended"] <= other["began"] or other["ended"] <= row["began"] for row in wide for other in times if row != other
     )
+
+
+@pytest.mark.nightly
+@pytest.mark.usefixtures("slurm")
+def test_a_run_may_be_an_mpi_program_with_several_processes_on_its_node(
+    simulate: Callable[..., Simulated], require: Callable[..., str]
+) -> None:
+    mpirun = require("mpirun")
+    made = simulate(
+        f'n=$({mpirun} --allow-run-as-root -n 2 sh -c "echo rank" | grep -c rank); printf "t,v\\n1,$n\\n" > swarm.csv'
+    )
+    config = made.folder / "sierra.toml"
+    table = "[runners.slurm]\narray_tasks = 1\ncpus = 2\n"
+    config.write_text(config.read_text().replace("[limits]\n", "[limits]\ncores = 2\n") + table)
+    project = sierra.open(made.folder)
+    assert project.run("size=1", runs=2, runner="slurm", figures=False).executed == 2
+    assert rows(project, "SELECT DISTINCT v FROM swarm") == [{"v": 2}]
 
 
 @pytest.mark.nightly
