@@ -427,4 +427,4 @@ def test_the_error_for_an_unknown_runner_names_the_known_ones(tmp_path: Path) ->
     for more in ((), ("--dry-run",)):
         done = projects.quick(root, "run", "population_size.Log8", "--on", "bog", *more)
         assert done.returncode == 2
-        assert "unknown runner 'bog'; known are local, robots, slurm, pbs, big" in done.stderr
+        assert "unknown runner 'bog'; known are local, collected, robots, slurm, pbs, lab, big" in done.stderr
