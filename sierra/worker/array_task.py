@@ -82,6 +82,8 @@ AHEAD, AHEAD_EACH = 64, 8
 
 A run that has left little frees its place when it has ended, any other run when it is packed.
 """
+SLOT_LOCKS = "SIERRA_SLOT_LOCKS"
+"""The variable with descriptors of locks of slots: as long as this task has them open, no other task has these slots."""
 SECRET = ("TOKEN", "SECRET", "PASSWORD", "CREDENTIAL")
 
 
@@ -241,10 +243,14 @@ class Execution:
         self._stops = Stops()
         self._check_at = 0.0
 
-    def run(self, slots: int, path: str, wanted: Callable[[str], bool]) -> bool:
-        """Execute the wanted jobs of a file, and return whether all were executed. Raises CannotContinue, OSError."""
+    def run(self, slots: int, path: str, wanted: Callable[[str], bool], *, last: bool) -> bool:
+        """Execute the wanted jobs of a file, and return whether all were executed. Raises CannotContinue, OSError.
+
+        `last`: no other execution follows in this attempt.
+        """
+        self._last = last
         self._process = subprocess.Popen(
-            [sys.executable, "-I", "-S", "-B", "-X", "utf8", program.PROGRAM, self._scratch, str(slots)],
+            [sys.executable, "-I", "-S", "-X", "utf8", program.PROGRAM, self._scratch, str(slots)],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
@@ -278,6 +284,8 @@ class Execution:
             self._pack.sync(now)
             if not (over or self._stopping) and (self._feeder.is_alive() or self._ended < self._feeder.sent):
                 self._requeue.send_if_due(self._has_continued)
+            elif self._last and not self._feeder.is_alive() and self._ended + len(self._held) == self._feeder.sent:
+                release_slots()
             if over and not events and not self._held:
                 return
             pause = BUSY_S if events or self._held else min(IDLE_S, 1.2 * pause)
@@ -476,9 +484,16 @@ def execute(named: str, done: set[bytes], slots: int, scratch: str, shared: Shar
             done.add(short(execution))
             alone = Execution(shared, os.path.join(scratch, "alone%d" % number))
             alone.begin(execution, alone=True)
-            if not alone.run(1, jobs, execution.__eq__):
+            if not alone.run(1, jobs, execution.__eq__, last=False):
                 return False
-    return Execution(shared, os.path.join(scratch, "runs")).run(slots, jobs, lambda execution: short(execution) not in done)
+    others = Execution(shared, os.path.join(scratch, "runs"))
+    return others.run(slots, jobs, lambda execution: short(execution) not in done, last=True)
+
+
+def release_slots() -> None:
+    """Let another task begin on this computer, since this one only packs its last runs; see SLOT_LOCKS."""
+    for lock in os.environ.pop(SLOT_LOCKS, "").split():
+        os.close(int(lock))
 
 
 def reason_of(error: BaseException) -> str:

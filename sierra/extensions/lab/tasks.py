@@ -19,8 +19,8 @@ from sierra.util.lazy_definitions import dataclass, field
 Links = Mapping[str, Mapping[str, JsonView]]
 OWN = ("number", "without_end", "token", "jobs", "contents", "gpus", "cores", "links")
 """The fields of `Tasks` beside its tasks."""
-AHEAD = 1
-"""The number of tasks that a host has in addition to those that it executes, so that no slot waits for this machine."""
+AHEAD = 2
+"""The number of tasks of a host for each of its slots: one that it executes, and one for which the slot need not wait."""
 
 
 class Stage(StrEnum):
@@ -145,7 +145,7 @@ def deal(tasks: Tasks, slots: Mapping[str, int]) -> list[LabTask]:
     dealt: list[LabTask] = []
     for task in tasks.waiting():
         host = min(slots, key=lambda name: (loads[name] / slots[name], name), default=None)
-        if host is None or (not tasks.without_end and loads[host] >= slots[host] + AHEAD):
+        if host is None or (not tasks.without_end and loads[host] >= AHEAD * slots[host]):
             break
         tasks.send(task, host)
         loads[host] += 1

@@ -18,10 +18,10 @@ def tasks(tmp_path: Path) -> Tasks:
     return tasks
 
 
-def test_hosts_get_as_many_shares_as_they_have_slots_and_one_more(tasks: Tasks) -> None:
+def test_hosts_get_a_share_for_each_slot_and_one_more(tasks: Tasks) -> None:
     dealt = deal(tasks, {"pc1": 1, "pc2": 3})
-    assert [task.element for task in dealt] == list(range(1 + AHEAD + 3 + AHEAD))
-    assert len(list(tasks.on("pc1"))) == 1 + AHEAD
+    assert [task.element for task in dealt] == list(range(AHEAD * (1 + 3)))
+    assert len(list(tasks.on("pc1"))) == AHEAD
     assert not deal(tasks, {"pc1": 1, "pc2": 3})
 
 

@@ -30,6 +30,7 @@ import signal
 import subprocess
 import sys
 import time
+import zipfile
 
 from sierra.extensions.lab.agent import host_folder, keeper
 from sierra.extensions.lab.agent.host_folder import CLAIMED, ENDED, LOGS, QUEUE, RESULTS, RUNNING, STATES, Record
@@ -209,7 +210,7 @@ class Front:
                     sys.executable,
                     "-I",
                     "-S",
-                    program.PROGRAM,
+                    unpacked(program.PROGRAM),
                     KEEPER,
                     self._folder,
                     *map(str, (self._slots, self._gpus, self._cores)),
@@ -275,6 +276,35 @@ class Front:
     def _send(self, record: Record, content: bytes = b"") -> None:
         write_all(1, json.dumps(record).encode() + b"\n" + content)
         self._beat_at = time.monotonic() + BEAT_S
+
+
+def unpacked(zipped: str) -> str:
+    """Return the path of the programs in a folder instead of a zip, because Python keeps byte code only for files.
+
+    Each task starts two Pythons, which take half of the time then. Return the zip itself if a file cannot be written, or if it
+    is not as it was unpacked.
+    """
+    if not os.path.isfile(zipped) or not zipfile.is_zipfile(zipped):
+        return zipped
+    programs, name = os.path.split(os.path.dirname(zipped))
+    target = os.path.join(os.path.dirname(programs), "unpacked", name)
+    part = "%s.%d" % (target, os.getpid())
+    try:
+        with zipfile.ZipFile(zipped) as archive:
+            if not os.path.isdir(target):
+                archive.extractall(part)
+                with contextlib.suppress(OSError):  # another driver may have been faster
+                    os.rename(part, target)
+            same = all(content_of(os.path.join(target, member)) == archive.read(member) for member in archive.namelist())
+    except OSError:
+        same = False
+    remove(part)
+    return os.path.join(target, "__main__.py") if same else zipped
+
+
+def content_of(path: str) -> bytes:
+    with open(path, "rb") as file:
+        return file.read()
 
 
 def checked(entry: object) -> str:

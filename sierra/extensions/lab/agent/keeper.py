@@ -5,8 +5,8 @@
 GPUS is the number of GPUs that a run requests, its share of one, or 0: each slot has GPUs of its own. CORES is the number of
 cores that a run holds: a task has as many slots, of which there are SLOTS times CORES. FOLDER is that of the session: see
 `host_folder`. There is one keeper for each session: another one ends at once. It starts tasks in the order of
-their numbers, each in a slot of the host. Drivers share the slots by locks, which a task inherits, so that a slot is free when
-the last process of its task has ended, also if its keeper was killed before. When the lease is over, nobody waits for the
+their numbers, each in a slot of the host. Drivers share the slots by locks, which only the task has: a slot is free when its
+task has executed its last run, or has ended, also if its keeper was killed before. When the lease is over, nobody waits for the
 results any more: no task is started, and running ones are told to end. Results stay.
 """
 
@@ -21,7 +21,7 @@ from typing import Mapping, NamedTuple
 
 from sierra.extensions.lab.agent import host_folder
 from sierra.extensions.lab.agent.host_folder import CLAIMED, ENDED, LOGS, QUEUE, RUNNING
-from sierra.worker import gpus, program
+from sierra.worker import array_task, gpus, program
 from sierra.worker.devices import DEVICES
 from sierra.worker.files import unlink
 from sierra.worker.processes import birth, boot_id, marked
@@ -46,13 +46,6 @@ class Slot(NamedTuple):
             os.close(lock)
 
 
-class Task(NamedTuple):
-    """A task that this process has started."""
-
-    process: subprocess.Popen[bytes]
-    slot: Slot
-
-
 class Keeper:
     """The tasks of one session."""
 
@@ -61,7 +54,8 @@ class Keeper:
         self._slots, self._cores = slots, cores
         self._gpus = gpus
         self._locks = os.path.join(folder, "..", "..", "..", "slots", os.uname().nodename)
-        self._tasks: dict[str, Task] = {}
+        self._tasks: dict[str, subprocess.Popen[bytes]] = {}
+        """The tasks that this process has started."""
         self._told = False
         self._over = ""
         os.makedirs(self._locks, mode=0o700, exist_ok=True)
@@ -81,7 +75,7 @@ class Keeper:
         """Execute tasks until there are none."""
         pause = BUSY_S
         while True:
-            ended = [entry for entry, task in self._tasks.items() if task.process.poll() is not None]
+            ended = [entry for entry, task in self._tasks.items() if task.poll() is not None]
             for entry in ended:
                 self._end(entry)
             self._end_orphans()
@@ -97,13 +91,13 @@ class Keeper:
                 started += 1
             if not (self._tasks or waiting or host_folder.entries(self._folder, RUNNING)):
                 return
-            pause = BUSY_S if ended or started else min(IDLE_S, 1.5 * pause)
+            pause = BUSY_S if ended or started or waiting else min(IDLE_S, 1.5 * pause)
             self._wait(pause)
 
     def _wait(self, seconds: float) -> None:
         """Wait for so long, or until a task of this process ends."""
         give_up = time.monotonic() + seconds
-        while time.monotonic() < give_up and all(task.process.poll() is None for task in self._tasks.values()):
+        while time.monotonic() < give_up and all(task.poll() is None for task in self._tasks.values()):
             time.sleep(BUSY_S)
 
     def _why_over(self) -> str:
@@ -133,10 +127,11 @@ class Keeper:
             slot.free()
             return True
         try:
-            self._tasks[entry] = Task(self._started(entry, slot), slot)
+            self._tasks[entry] = self._started(entry, slot)
         except OSError as error:
-            slot.free()
             self._note_end(entry, 3, "%s: %s" % (os.uname().nodename, error.strerror))
+        finally:
+            slot.free()  # the task has inherited the locks
         unlink(self._path(CLAIMED, entry))
         return True
 
@@ -170,6 +165,7 @@ class Keeper:
         argv = [sys.executable, "-I", "-S", program.PROGRAM, "array_task", self._folder, entry.partition(".")[2]]
         variables = {"SIERRA_LAB_%s" % name.upper(): str(asked.get(name, "")) for name in ("task", "job", "host", "clock")}
         variables[ENTRY] = self._mark(entry).partition("=")[2]
+        variables[array_task.SLOT_LOCKS] = " ".join(map(str, slot.locks))
         with open(self._path(LOGS, entry + ".out"), "ab") as log:
             process = subprocess.Popen(
                 argv,
@@ -198,9 +194,7 @@ class Keeper:
 
     def _end(self, entry: str) -> None:
         """Record the end of a task that this process has started."""
-        task = self._tasks.pop(entry)
-        status = task.process.wait()
-        task.slot.free()
+        status = self._tasks.pop(entry).wait()
         self._note_end(entry, status, "signal %d" % -status if status < 0 else self._over if status else "")
         unlink(self._path(RUNNING, entry))
 
