@@ -45,7 +45,8 @@ class RunLimits:
 
     def changed(self, change: Callable[[Limits], Limits]) -> RunLimits:
         """Return these limits with the same change of all."""
-        return RunLimits(change(self.most), {number: change(limits) for number, limits in self.by_experiment.items()})
+        others = {limits: change(limits) for limits in {self.most, *self.by_experiment.values()}}
+        return RunLimits(others[self.most], {number: others[limits] for number, limits in self.by_experiment.items()})
 
 
 def of_experiments(project: Project, experiments: Iterable[Experiment]) -> RunLimits:

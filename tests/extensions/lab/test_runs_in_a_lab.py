@@ -7,12 +7,15 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import signal
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from sierra.worker.processes import descendants
 from tests import projects
 from tests.support import lab_project
 from tests.support.lab_project import QUERY, drive, ended, executed, rows_of, sessions
@@ -24,6 +27,7 @@ pytestmark = [pytest.mark.integration, pytest.mark.each_case]
 
 GOOD = "SELECT count(*), count(DISTINCT run) FROM executions WHERE status = 'ok'"
 SHORT = "lease = 10"
+LARGE = '\nimport os\nopen("large.bin", "wb").write(os.urandom(4 << 20))\n'
 
 
 def test_runs_are_dealt_to_all_hosts_and_recorded_like_local_ones(fleet: Fleet, tmp_path: Path) -> None:
@@ -161,6 +165,39 @@ def test_a_host_with_a_full_disk_is_put_aside(fleet: Fleet, tmp_path: Path) -> N
     assert code == 0, errors
     assert "rb2" in errors
     assert rows_of(project, GOOD) == [(30, 30)]
+
+
+@pytest.mark.nightly
+def test_a_full_disk_of_this_machine_loses_no_result(fleet: Fleet, tmp_path: Path, disk: Callable[[Path, str], Path]) -> None:
+    project = lab_project.make(fleet, disk(tmp_path / "project", "50m"), 0.5)
+    (project / "sim.py").write_text(lab_project.SIMULATOR.replace("SECONDS", "0.5") + LARGE)
+    code, errors = ended(drive(project, *QUERY, "15"))
+    assert code == 3, errors
+    assert "space" in errors
+    disk(project, "500m")
+    code, errors = ended(drive(project, *QUERY, "15"))
+    assert code == 0, errors
+    assert rows_of(project, GOOD) == [(30, 30)]
+    assert max(executed(fleet).values()) == 1
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("lease", [600, 10])
+def test_a_driver_that_was_asleep_goes_on(fleet: Fleet, tmp_path: Path, lease: int) -> None:
+    project = lab_project.make(fleet, tmp_path / "project", 1.0, f"lease = {lease}")
+    process = drive(project, *QUERY, "15")
+    until(lambda: len(executed(fleet)) >= 6, "runs have begun")
+    asleep = [process.pid, *descendants(process.pid)]
+    for pid in asleep:
+        os.kill(pid, signal.SIGSTOP)
+    time.sleep(20)
+    for pid in asleep:
+        os.kill(pid, signal.SIGCONT)
+    code, errors = ended(process)
+    assert code == 0, errors
+    assert rows_of(project, GOOD) == [(30, 30)]
+    if lease > 20:
+        assert max(executed(fleet).values()) == 1
 
 
 @pytest.mark.nightly
