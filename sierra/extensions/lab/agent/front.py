@@ -21,6 +21,7 @@ says. All bytes of a result log are sent from the place on that the driver asks 
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import os
 import platform
@@ -43,6 +44,8 @@ BEAT_S = 1.0
 SILENCE_S = 60.0
 """The seconds without a line from the driver after which the connection counts as lost."""
 CHUNK = 1 << 20
+PART = 4 << 20
+"""The most bytes of a result log that are sent at a time."""
 KEEPER = keeper.__name__
 
 
@@ -62,14 +65,15 @@ class Front:
         self._slots, self._gpus, self._cores = 1, 0.0, 1
         self._lease: float | None = None
         self._leased = 0.0
-        self._beat_at = self._heard = self._keep_at = time.monotonic()
+        self._beat_at = self._heard = self._keep_at = self._report_at = time.monotonic()
         self._removed = False
 
     def serve(self) -> None:
         """Serve the driver until it is gone, or until it has removed the folder."""
         while not self._removed:
             busy = self._send_logs()
-            self._report()
+            if not busy or time.monotonic() >= self._report_at:
+                self._report()
             self._keep()
             self._beat()
             self._receive(0.0 if busy else POLL_S)
@@ -236,13 +240,13 @@ class Front:
                         self._sent[name] = at = size
                     if size == at:
                         continue
-                    file.seek(at)
-                    data = file.read(CHUNK)
+                    length = min(size - at, PART)
+                    self._send({"event": "log", "name": name, "at": at, "size": length})
+                    send_file(file.fileno(), at, length)
             except FileNotFoundError:
                 continue
-            self._send({"event": "log", "name": name, "at": at, "size": len(data)}, data)
-            self._sent[name] = at + len(data)
-            busy = busy or at + len(data) < size
+            self._sent[name] = at + length
+            busy = busy or at + length < size
         return busy
 
     def _report(self) -> None:
@@ -250,6 +254,7 @@ class Front:
 
         A task is ended when the driver has all that it has recorded.
         """
+        self._report_at = time.monotonic() + BEAT_S
         if not self._state:
             return
         queued, claimed, running, over = (host_folder.entries(self._folder, kind) for kind in STATES)
@@ -273,9 +278,26 @@ class Front:
         line = last_line_of(os.path.join(self._folder, LOGS, entry + ".out"))
         return [record.get("status"), record.get("reason", ""), line]
 
-    def _send(self, record: Record, content: bytes = b"") -> None:
-        write_all(1, json.dumps(record).encode() + b"\n" + content)
+    def _send(self, record: Record) -> None:
+        write_all(1, json.dumps(record).encode() + b"\n")
         self._beat_at = time.monotonic() + BEAT_S
+
+
+def send_file(file: int, at: int, length: int) -> None:
+    """Send a part of a file, which was announced. Raises Gone if the file has become shorter meanwhile."""
+    end = at + length
+    while at < end:
+        try:
+            sent = os.sendfile(1, file, at, end - at)
+        except OSError as error:
+            if error.errno not in (errno.EINVAL, errno.ENOSYS):
+                raise
+            data = os.pread(file, min(end - at, CHUNK), at)  # a file system or an output without this call
+            write_all(1, data)
+            sent = len(data)
+        if not sent:
+            raise Gone
+        at += sent
 
 
 def unpacked(zipped: str) -> str:
