@@ -436,7 +436,10 @@ def test_wrong_targets_are_named_in_one_line_before_anything_runs(executed: Path
 def test_a_target_names_where_its_runs_execute(tmp_path: Path) -> None:
     folder = make(tmp_path / "p", CONFIG.replace("[targets.robots]", '[targets.robots]\nrunner = "field"'))
     done = projects.quick(folder, "run", "population_size=1", *BOTH)
-    assert (done.returncode, done.stderr) == (2, "sierra: unknown runner 'field'; known are local, robots, slurm, pbs\n")
+    assert (done.returncode, done.stderr) == (
+        2,
+        "sierra: unknown runner 'field'; known are local, collected, robots, slurm, pbs, lab\n",
+    )
     assert not (folder / ".sierra" / "segments").exists()
     answers, _ = projects.run(folder, "population_size=1", *BOTH, "--on", "local")
     assert [one["executed"] for one in answers["targets"].values()] == [2, 2]

@@ -68,7 +68,7 @@ def completed(root: Path, words: str, program: tuple[str, ...] = (str(projects.S
         ("sierra run pop", ["population_size."]),
         ("sierra run sc", ["scalability"]),
         ("sierra run x --controller ", ["random_walk"]),
-        ("sierra run x --on l", ["local"]),
+        ("sierra run x --on l", ["lab", "local"]),
         ("sierra figures 1234 m", ["mine"]),
         ("sierra stats s", ["swarm"]),
         ("sierra stats swarm co", ["coverage"]),
