@@ -16,6 +16,7 @@ import pytest
 
 from tests import containers, images
 from tests.projects import SIERRA, quick, sierra
+from tests.tiers import at_night
 from tests.waiting import PATIENCE_S, until
 
 pytestmark = pytest.mark.real
@@ -354,12 +355,13 @@ ENDED = {
 
 @pytest.mark.each_case
 @pytest.mark.parametrize("isolation", ["run", "worker"])
-def test_all_kinds_of_ends_of_runs_are_distinguished(tmp_path: Path, python: Path, isolation: str) -> None:
+@pytest.mark.parametrize("memory", ["120 MB", *at_night("{120 + population_size} MB")])
+def test_all_kinds_of_ends_of_runs_are_distinguished(tmp_path: Path, python: Path, isolation: str, memory: str) -> None:
     mark = f"61.{os.getpid()}"
     simulator = ENDS.replace("{mark}", mark)
     folder = containers.make(tmp_path / "project", python, f'isolation = "{isolation}"', simulator=simulator)
     with (folder / "sierra.toml").open("a") as file:
-        file.write('[limits]\nwall = 3.0\ngrace = 1.0\nmemory = "120 MB"\n')
+        file.write(f'[limits]\nwall = 3.0\ngrace = 1.0\nmemory = "{memory}"\n')
     says(folder, "run", "population_size=1,2,3,4,5,6,7,8,9", "--runs", "1", "--no-figures", code=1)
     ended = rows(
         folder, 'SELECT population_size AS n, status, exit_code, "signal" FROM executions JOIN points USING (run) ORDER BY n'
