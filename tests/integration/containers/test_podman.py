@@ -355,7 +355,7 @@ ENDED = {
 
 @pytest.mark.each_case
 @pytest.mark.parametrize("isolation", ["run", "worker"])
-@pytest.mark.parametrize("memory", ["120 MB", *at_night("{120 + population_size} MB")])
+@pytest.mark.parametrize("memory", ["120 MB", *at_night(["{120 + population_size} MB"])])
 def test_all_kinds_of_ends_of_runs_are_distinguished(tmp_path: Path, python: Path, isolation: str, memory: str) -> None:
     mark = f"61.{os.getpid()}"
     simulator = ENDS.replace("{mark}", mark)
