@@ -691,8 +691,10 @@ def test_an_array_task_reports_its_expired_time_limit_if_pbs_does_not(server: pb
     until(lambda: len(list(root.glob(".sierra/work/*/sent/*.json"))) > 1)
     gate.touch()
     _, err = asked.communicate(timeout=60)
-    assert asked.returncode == 0, err
-    assert re.search(r"submitted again: array task: asked to end after \d s \(walltime of 3 s exceeded\)", err)
+    assert asked.returncode == 1, err
+    expired = r"array task: asked to end after \d s \(walltime of 3 s exceeded\)"
+    assert re.search(rf"failed, cut off once: {expired}; it had all of that time: set a longer wall in \[runners.pbs\]", err)
+    assert re.search(f"submitted again: {expired}", err)
 
 
 @pytest.mark.nightly
