@@ -310,7 +310,7 @@ def unpacked(zipped: str) -> str:
         return zipped
     programs, name = os.path.split(os.path.dirname(zipped))
     target = os.path.join(os.path.dirname(programs), "unpacked", name)
-    part = "%s.%d" % (target, os.getpid())
+    part = "%s.%s-%d" % (target, os.uname().nodename, os.getpid())  # hosts may share the folder
     try:
         with zipfile.ZipFile(zipped) as archive:
             if not os.path.isdir(target):
