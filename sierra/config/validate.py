@@ -89,9 +89,9 @@ def _independent(error: ValidationError, table: object) -> Iterator[ErrorDetails
         key, position = _located(table, each)
         errors.setdefault(key, (position, each))
     outer = {key[:length] for key in errors for length in range(len(key))}
-    inner = [errors[key] for key in errors if key not in outer]
-    for _, each in sorted(inner, key=itemgetter(0)):
-        yield each if each["loc"][-1:] == ("[key]",) else {**each, "loc": _located(table, each)[0]}
+    inner = [(position, key, each) for key, (position, each) in errors.items() if key not in outer]
+    for _, key, each in sorted(inner, key=itemgetter(0)):
+        yield each if each["loc"][-1:] == ("[key]",) else {**each, "loc": key}
 
 
 def _located(table: object, error: ErrorDetails) -> tuple[tuple[int | str, ...], list[int]]:

@@ -51,25 +51,26 @@ class RunLimits:
 
 def of_experiments(project: Project, experiments: Iterable[Experiment]) -> RunLimits:
     """Return the limits of the runs of experiments. Raises ConfigError for one that has no valid value."""
-    return _limits(project, {experiment.ordinal: experiment.values for experiment in experiments})
+    return _limits(project, ((experiment.ordinal, experiment.values) for experiment in experiments))
 
 
 def recorded(project: Project, store: Store, batch: str) -> RunLimits:
     """Return the limits of the runs of a recorded batch, as the project has them now. Raises as `of_experiments`."""
     if not _varying(project.limits):
-        return _limits(project, {})
+        return _limits(project, ())
     with store.snapshot(batch) as snapshot:
         axes = required_row(BatchRow, snapshot, "SELECT * FROM batches WHERE batch = $b", b=batch).axes
-        return _limits(project, {ordinal: axis_values(axes, cell) for ordinal, cell in snapshot.cells(batch).items()})
+        return _limits(project, ((ordinal, axis_values(axes, cell)) for ordinal, cell in snapshot.cells(batch).items()))
 
 
-def _limits(project: Project, values: Mapping[int, Mapping[str, Value]]) -> RunLimits:
+def _limits(project: Project, experiments: Iterable[tuple[int, Mapping[str, Value]]]) -> RunLimits:
+    """Return the limits of experiments with these positions and values, which are only read if a limit depends on them."""
     varying = _varying(project.limits)
     if not varying:
         return RunLimits(_of_table(project, project.limits))
     tables: dict[tuple[str, ...], Limits] = {}
     by_experiment = {}
-    for ordinal, given in values.items():
+    for ordinal, given in experiments:
         filled = {name: _filled(name, text, given) for name, text in varying.items()}
         key = tuple(filled.values())
         if key not in tables:

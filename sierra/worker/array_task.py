@@ -64,7 +64,7 @@ from sierra.worker.element_jobs import Feeder
 from sierra.worker.errors import CannotContinue, explain
 from sierra.worker.files import CHUNK, remove, unlink
 from sierra.worker.journal import End, Event, GrowingJournal
-from sierra.worker.layout import LOGS, OBSERVED
+from sierra.worker.layout import LOGS, OBSERVED, SLOT_LOCKS
 from sierra.worker.processes import Stops, adopt_orphans, birth, end_orphans, stdin_of
 from sierra.worker.result_log import Attempt, Changed, File, Finished, Pack, Requeued, Started, Trouble, line_of, short
 
@@ -82,8 +82,6 @@ AHEAD, AHEAD_EACH = 64, 8
 
 A run that has left little frees its place when it has ended, any other run when it is packed.
 """
-SLOT_LOCKS = "SIERRA_SLOT_LOCKS"
-"""The variable with descriptors of locks of slots: as long as this task has them open, no other task has these slots."""
 SECRET = ("TOKEN", "SECRET", "PASSWORD", "CREDENTIAL")
 
 

@@ -1,4 +1,4 @@
-"""The names of files and folders in the folder of a run, and of a worker."""
+"""The names of files and folders in the folder of a run, and of a worker; and of a variable of its parent."""
 
 from __future__ import annotations
 
@@ -12,3 +12,4 @@ CHECKPOINT = os.path.join("home", ".sierra-checkpoint")  # in a run's folder: se
 SHARED = "shared"  # in the folder of shared services: what their conductor tells when they are ready
 TRACE = ".trace"  # the end of the name of a tracer's log, beside the run's folder
 RUNS = "runs"
+SLOT_LOCKS = "SIERRA_SLOT_LOCKS"  # an array task's descriptors of locks: while they are open, no other task has its slots

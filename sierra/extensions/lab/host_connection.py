@@ -21,6 +21,7 @@ from sierra.extensions.lab import agent
 from sierra.extensions.lab.agent import front, host_folder
 from sierra.extensions.lab.agent.host_folder import Record
 from sierra.extensions.lab.lab_table import Host, LabTable
+from sierra.extensions.lab.tasks import Tasks
 from sierra.runners.links.base import Overdue, Unreachable, UntrustedHost
 from sierra.runners.links.commands import Commands, Exchange
 from sierra.util.lazy_logger import Log
@@ -48,22 +49,17 @@ class HostConnection:
         self,
         host: Host,
         table: LabTable,
-        links: Mapping[str, Mapping[str, Any]],
+        tasks: Tasks,
         session: str,
-        contents: Mapping[str, str],
-        gpus: float | None,
-        cores: int,
         lease: Callable[[], float | None],
         have: Callable[[], Mapping[str, int]],
         handle: Callable[[HostConnection, Record, bytes], None],
     ) -> None:
-        """`session` names the folder of the session there. `contents` are what is copied there: kinds by paths.
+        """`tasks` say what runs request, and what is copied to the host. `session` names the folder of the session there.
 
-        `gpus` is the number of GPUs that a run requests, or its share of one; None: it requests none. `cores` is that of its
-        cores. `lease` returns the seconds for which the host goes on without a connection; None: without end.
-
-        `have` returns the bytes of each result log that this machine has. `handle` is called by this thread, for the events of
-        the host and for those of the connection: `connected` and `lost`, with the reason.
+        `lease` returns the seconds for which the host goes on without a connection; None: without end. `have` returns the bytes
+        of each result log that this machine has. `handle` is called by this thread, for the events of the host and for those of
+        the connection: `connected` and `lost`, with the reason.
         """
         self.host = host
         self.name = host.name
@@ -77,10 +73,10 @@ class HostConnection:
         self.heard = host_folder.now()
         """When something came from the host, in seconds since boot, in which a suspended computer also counts."""
         self.connected = False
-        self._table, self._session, self._contents = table, session, contents
-        self._have, self._handle, self._gpus, self._cores, self._lease = have, handle, gpus, cores, lease
+        self._table, self._tasks, self._session = table, tasks, session
+        self._have, self._handle, self._lease = have, handle, lease
         kind = table.link
-        self._link = LINKS.make(kind, {kind: {**links.get(kind, {}), **table.link_options}}, host.name)
+        self._link = LINKS.make(kind, {kind: {**tasks.links.get(kind, {}), **table.link_options}}, host.name)
         if not isinstance(self._link, Commands):
             raise Missing(f"link {kind!r} cannot carry files for a lab; use openssh or fabric")
         self._link.python = table.python
@@ -131,18 +127,17 @@ class HostConnection:
         argv = (self._table.python, "-I", "-S", "-B", f"{programs}/{program.NAME}", FRONT, self.folder)
         self._exchange = exchange = self._link.stream(argv)
         try:
-            requested = {"slots": self.host.slots, "lease": self._lease(), "gpus": self._gpus, "cores": self._cores}
+            gpus, cores = self._tasks.gpus, self._tasks.cores
+            requested = {"slots": self.host.slots, "lease": self._lease(), "gpus": gpus, "cores": cores}
             exchange.send(_line("hello", **requested, have=self._have()), LOST_S)
             while (hello := self._next(exchange)[0])["event"] != "hello":
                 if hello["event"] == "trouble":
                     raise Missing(f"{self.name}: {hello['reason']}")
             self.slots = int(hello["slots"])
-            if self.slots < 1 and hello["gpus"] < (self._gpus or 0):
-                raise Unusable(
-                    f"{self.name}: runs request {self._gpus:g} GPUs each ([limits] gpus), and it has {hello['gpus']}"
-                )
+            if self.slots < 1 and gpus and hello["gpus"] < gpus:
+                raise Unusable(f"{self.name}: runs request {gpus:g} GPUs each ([limits] gpus), and it has {hello['gpus']}")
             if self.slots < 1:
-                raise Unusable(f"{self.name}: runs request {self._cores} cores each ([limits] cores), and it has fewer slots")
+                raise Unusable(f"{self.name}: runs request {cores} cores each ([limits] cores), and it has fewer slots")
             early: list[tuple[Record, bytes]] = []
             self.clock = measured(lambda: self._ask_clock(exchange, early), time.time_ns)
             self._outgoing = queue.SimpleQueue()
@@ -167,7 +162,7 @@ class HostConnection:
             raise Unusable(f"{self.name}: needs Python 3.8 or newer as {self._table.python!r}; set python in the lab's table")
         programs = push_programs(link, root, Path(agent.__file__).parent)
         home = link.run(("pwd",)).stdout.decode(errors="replace").rstrip("\n")
-        for path, kind in self._contents.items():
+        for path, kind in self._tasks.contents.items():
             if path in self.places and link.run(("test", "-e", self.places[path])).status == 0:
                 continue  # this process has copied it, and no program can change it
             self._check_open()

@@ -156,18 +156,7 @@ class Lab:
             self._hosts[host.name].leaves = leaves
             return
         tasks, name = self._tasks, f"{self._session.root.name}-{self._tasks.token}"
-        connection = HostConnection(
-            host,
-            self._table,
-            tasks.links,
-            name,
-            tasks.contents,
-            tasks.gpus,
-            tasks.cores,
-            self._lease,
-            self._have,
-            self._handle,
-        )
+        connection = HostConnection(host, self._table, tasks, name, self._lease, self._have, self._handle)
         self._hosts[host.name] = LabHost(connection, leaves=leaves)
         connection.start()
 

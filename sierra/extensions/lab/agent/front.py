@@ -32,6 +32,7 @@ import subprocess
 import sys
 import time
 import zipfile
+from pathlib import Path
 
 from sierra.extensions.lab.agent import host_folder, keeper
 from sierra.extensions.lab.agent.host_folder import CLAIMED, ENDED, LOGS, QUEUE, RESULTS, RUNNING, STATES, Record
@@ -317,16 +318,11 @@ def unpacked(zipped: str) -> str:
                 archive.extractall(part)
                 with contextlib.suppress(OSError):  # another driver may have been faster
                     os.rename(part, target)
-            same = all(content_of(os.path.join(target, member)) == archive.read(member) for member in archive.namelist())
+            same = all(Path(target, member).read_bytes() == archive.read(member) for member in archive.namelist())
     except OSError:
         same = False
     remove(part)
     return os.path.join(target, "__main__.py") if same else zipped
-
-
-def content_of(path: str) -> bytes:
-    with open(path, "rb") as file:
-        return file.read()
 
 
 def checked(entry: object) -> str:

@@ -4,10 +4,10 @@
 
 GPUS is the number of GPUs that a run requests, its share of one, or 0: each slot has GPUs of its own. CORES is the number of
 cores that a run holds: a task has as many slots, of which there are SLOTS times CORES. FOLDER is that of the session: see
-`host_folder`. There is one keeper for each session: another one ends at once. It starts tasks in the order of
-their numbers, each in a slot of the host. Drivers share the slots by locks, which only the task has: a slot is free when its
-task has executed its last run, or has ended, also if its keeper was killed before. When the lease is over, nobody waits for the
-results any more: no task is started, and running ones are told to end. Results stay.
+`host_folder`. There is one keeper for each session: another one ends at once. It starts tasks in the order of their numbers,
+each in a slot of the host. Drivers share the slots by locks, which only the task has: a slot is free when its task has executed
+its last run, or has ended, also if its keeper was killed before. When the lease is over, nobody waits for the results any more:
+no task is started, and running ones are told to end. Results stay.
 """
 
 from __future__ import annotations
@@ -21,9 +21,10 @@ from typing import Mapping, NamedTuple
 
 from sierra.extensions.lab.agent import host_folder
 from sierra.extensions.lab.agent.host_folder import CLAIMED, ENDED, LOGS, QUEUE, RUNNING
-from sierra.worker import array_task, gpus, program
+from sierra.worker import gpus, program
 from sierra.worker.devices import DEVICES
 from sierra.worker.files import unlink
+from sierra.worker.layout import SLOT_LOCKS
 from sierra.worker.processes import birth, boot_id, marked
 
 BUSY_S, IDLE_S = 0.05, 0.5
@@ -165,7 +166,7 @@ class Keeper:
         argv = [sys.executable, "-I", "-S", program.PROGRAM, "array_task", self._folder, entry.partition(".")[2]]
         variables = {"SIERRA_LAB_%s" % name.upper(): str(asked.get(name, "")) for name in ("task", "job", "host", "clock")}
         variables[ENTRY] = self._mark(entry).partition("=")[2]
-        variables[array_task.SLOT_LOCKS] = " ".join(map(str, slot.locks))
+        variables[SLOT_LOCKS] = " ".join(map(str, slot.locks))
         with open(self._path(LOGS, entry + ".out"), "ab") as log:
             process = subprocess.Popen(
                 argv,
@@ -231,7 +232,7 @@ def with_gpus_of(slot: int, wanted: float, environment: Mapping[str, str]) -> Ma
 
 
 def main(arguments: list[str]) -> int:
-    folder, (slots, cores), wanted = os.path.abspath(arguments[0]), map(int, arguments[1::2]), float(arguments[2])
+    folder, slots, wanted, cores = os.path.abspath(arguments[0]), int(arguments[1]), float(arguments[2]), int(arguments[3])
     for number in (signal.SIGHUP, signal.SIGINT, signal.SIGPIPE):
         signal.signal(number, signal.SIG_IGN)
     if os.fork():  # so that it is nobody's child, and in no session of a login
