@@ -63,7 +63,7 @@ def large(fleet: Fleet, folder: Path) -> None:
     query = (*lab_project.QUERY[:1], "speed=1", *lab_project.QUERY[2:])
     code, errors = lab_project.ended(lab_project.drive(project, *query, "1", "--detach"))
     assert code == 0, errors
-    while not any(folder.glob("ended/*") for folder in lab_project.sessions(fleet, name)):
+    while not [entry for session in lab_project.sessions(fleet, name) for entry in session.glob("ended/*")]:
         time.sleep(0.2)
     for log in project.glob(".sierra/work/*/results/*.pack"):
         log.unlink()

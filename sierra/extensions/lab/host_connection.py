@@ -84,6 +84,11 @@ class HostConnection:
         self._outgoing: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         self._exchange: Exchange | None = None
         self._pieces = b""
+        """What has come and was not taken in yet."""
+        self._part: Record = {}
+        """The event of the part of a result log that comes now, for the rest of it."""
+        self._left = 0
+        """The bytes of that rest."""
 
     def start(self) -> None:
         threading.Thread(target=self._run, daemon=True).start()
@@ -123,7 +128,7 @@ class HostConnection:
     def _serve(self) -> None:
         """Connect, and pass on events until the connection is lost. Raises SierraError."""
         programs = self._prepare()
-        self._pieces = b""
+        self._pieces, self._left = b"", 0
         argv = (self._table.python, "-I", "-S", "-B", f"{programs}/{program.NAME}", FRONT, self.folder)
         self._exchange = exchange = self._link.stream(argv)
         try:
@@ -188,24 +193,26 @@ class HostConnection:
             early.append((event, content))
 
     def _next(self, exchange: Exchange) -> tuple[Record, bytes]:
-        """Return the next event of the host. Raises Unreachable."""
-        while (end := self._pieces.find(b"\n")) < 0:
-            self._receive(exchange, LONGEST_LINE)
-        event = json.loads(self._pieces[:end])
-        if not isinstance(event, dict) or not isinstance(event.get("event"), str):
-            raise ValueError("no event")
-        size = int(event.get("size", 0))
-        if not 0 <= size <= LONGEST_PART:
-            raise ValueError(f"a part of {size} bytes")
-        parts, length = [self._pieces[end + 1 :]], len(self._pieces) - end - 1
-        while length < size:
-            self._pieces = b""
+        """Return the next event of the host: of a result log, each piece of a part when it comes. Raises Unreachable."""
+        if not self._left:
+            while (end := self._pieces.find(b"\n")) < 0:
+                self._receive(exchange, LONGEST_LINE)
+            event, self._pieces = json.loads(self._pieces[:end]), self._pieces[end + 1 :]
+            if not isinstance(event, dict) or not isinstance(event.get("event"), str):
+                raise ValueError("no event")
+            size = int(event.get("size", 0))
+            if not 0 <= size <= LONGEST_PART or (size and event["event"] != "log"):
+                raise ValueError(f"a part of {size} bytes")
+            if not size:
+                return event, b""
+            self._part, self._left = event, size
+        while not self._pieces:
             self._receive(exchange, LONGEST_PART)
-            parts.append(self._pieces)
-            length += len(self._pieces)
-        content = b"".join(parts)
-        self._pieces = content[size:]
-        return event, content[:size]
+        part, piece = self._part, self._pieces[: self._left]
+        self._pieces = self._pieces[len(piece) :]
+        self._left -= len(piece)
+        self._part = {**part, "at": int(part["at"]) + len(piece)}
+        return part, piece
 
     def _receive(self, exchange: Exchange, most: int) -> None:
         if len(self._pieces) > most:
