@@ -29,7 +29,8 @@ def aggregates(experiments: int, times: int) -> tuple[Any, Any]:
     ordinal = np.repeat(np.arange(experiments), times)
     mean = (ordinal + 1) * 20 * (1 - np.exp(-3 * t / times)) + np.convolve(rng.normal(0, 0.5, t.size), np.ones(9) / 9, "same")
     half = 2 + rng.random(t.size)
-    series = {"experiment": ordinal, "t": t, "n": np.full(t.size, 10), "mean": mean, "low": mean - half, "high": mean + half}
+    series = {"experiment": ordinal, "t": t, "n": np.full(t.size, 10), "mean": mean}
+    series |= {"mean_low": mean - half, "mean_high": mean + half}
     last = {name: values[times - 1 :: times] for name, values in series.items() if name != "t"}
     return pa.table(series), pa.table({**last, "never": np.zeros(experiments, dtype=int)})
 
@@ -67,12 +68,12 @@ def by_hand(experiments: int, times: int, figures: int, folder: Path) -> float:
         figure, plot = plt.subplots(figsize=(3.5, 2.4), layout="constrained")
         for ordinal, name in enumerate(names):
             rows = np.flatnonzero(series["experiment"].to_numpy() == ordinal)
-            t, mean, low, high = (series[c].to_numpy()[rows] for c in ("t", "mean", "low", "high"))
+            t, mean, low, high = (series[c].to_numpy()[rows] for c in ("t", "mean", "mean_low", "mean_high"))
             plot.plot(t, mean, label=str(name), linewidth=1.2)
             plot.fill_between(t, low, high, alpha=0.2, linewidth=0)
         _finish(figure, plot, "time", folder / f"timeseries{k}")
         figure, plot = plt.subplots(figsize=(3.5, 2.4), layout="constrained")
-        mean, low, high = (last[c].to_numpy() for c in ("mean", "low", "high"))
+        mean, low, high = (last[c].to_numpy() for c in ("mean", "mean_low", "mean_high"))
         plot.errorbar(names, mean, [mean - low, high - mean], marker="o", capsize=2, label="mean")
         plot.set_xscale("log", base=2)
         plot.set_xticks(names, [str(name) for name in names])
