@@ -84,9 +84,9 @@ class HostConnection:
         self._outgoing: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         self._exchange: Exchange | None = None
         self._pieces = b""
-        """What has come and was not taken in yet."""
+        """The bytes that have come and were not taken in yet."""
         self._part: Record = {}
-        """The event of the part of a result log that comes now, for the rest of it."""
+        """The event of the part of a result log that comes now; `at` is where the rest of it begins."""
         self._left = 0
         """The bytes of that rest."""
 
